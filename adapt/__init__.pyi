@@ -32,12 +32,12 @@ from .prediction import read_pictures as read_pictures
 from .profile import Profile as Profile
 from .report import write_report as write_report
 from .result_table import ResultTable as ResultTable
-from .runs import Run as Run
+from .run_record import Run as Run
+from .run_record import load_predictions as load_predictions
+from .run_record import load_run as load_run
+from .run_record import load_runs as load_runs
 from .runs import Stage1 as Stage1
 from .runs import adapt_folders as adapt_folders
-from .runs import load_predictions as load_predictions
-from .runs import load_run as load_run
-from .runs import load_runs as load_runs
 from .selection import SELECTORS as SELECTORS
 from .trainer import adapt as adapt
 from .trainer import train_source as train_source

@@ -17,9 +17,9 @@ from torch.nn import functional
 from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
 from gelgap.adapt.profile import Profile
 from gelgap.domains import LabelledFrames, split_domains, with_labels
-from gelgap.domains.frames.dataset import force_classes, labelled_frames, labels_of_run
+from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.paired_frames import PairedFrames
-from gelgap.domains.frames.splits import labelled_for_run
+from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
 
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
@@ -219,7 +219,7 @@ def network_inputs(
     """Return the frames' pictures on the device as the profile shows them to the network.
 
     Where its input has a map for each domain, it is the given one, or else that of these frames. Without `markers` the
-    dots are inpainted.
+    markers are inpainted.
     """
     shown = INPUTS[profile.input]
     if shown.shows_displacement:
@@ -272,7 +272,9 @@ class TrainingDomain:
         """Return a batch of these frames (B,), their markers `hidden` or not."""
         rows = torch.from_numpy(indices).to(self.device)
         inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
-        return Batch(inputs, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
+        if self.force is None:
+            return Batch(inputs, None, None)
+        return Batch(inputs, self.force[rows], self.contact_class[rows])
 
     def __len__(self) -> int:
         return len(self.pictures)

@@ -199,25 +199,25 @@ def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
     from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
     train, test = frames.source_train, frames.target_test
-    size_px = min(_SIZE_PX, *(max(frames.size_px) for frames in (train, test)))
-    mean, area, depth = zip(*(_numbers(frames, size_px) for frames in (train, test)), strict=True)
+    size_px = min(_SIZE_PX, max(train.size_px), max(test.size_px))
+    known, wanted = _numbers(train, size_px), _numbers(test, size_px)
     found = {CONSTANT: evaluate_constant_mean(train, test)}
-    for name, columns in ((QUADRATIC, (mean,)), (RIDGE, (area, depth))):
-        known, wanted = (np.stack([column[k] for column in columns], axis=1) for k in (0, 1))
+    for name, columns in ((QUADRATIC, slice(0, 1)), (RIDGE, slice(1, 3))):
         ridge = make_pipeline(PolynomialFeatures(2), StandardScaler(), Ridge(_PENALTY * len(train)))
+        ridge.fit(known[:, columns], train.label_values)
         # Of a single label it predicts (m,).
-        predicted = ridge.fit(known, train.label_values).predict(wanted).reshape(test.label_values.shape)
+        predicted = ridge.predict(wanted[:, columns]).reshape(test.label_values.shape)
         found[name] = evaluate_frames(test, predicted)
     return found
 
 
-def _numbers(frames: LabelledFrames, size_px: int) -> list[np.ndarray]:
-    """Return mean absolute difference, share of the dent's pixels and largest difference of each picture (n,)."""
+def _numbers(frames: LabelledFrames, size_px: int) -> np.ndarray:
+    """Return mean absolute difference, share of the dent's pixels and largest difference of each picture (n, 3)."""
     references, images, rows = frames.references_at(size_px).astype(np.float32), frames.images(size_px), []
     for image, own in zip(images, frames.reference_id, strict=True):
         difference = np.abs(image - references[own]).mean(axis=2) / 255
         rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
-    return list(np.array(rows).T)
+    return np.array(rows)
 
 
 @dataclass(frozen=True)

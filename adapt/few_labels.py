@@ -30,7 +30,8 @@ from gelgap.domains import (
     open_domain,
     with_labels,
 )
-from gelgap.domains.frames.dataset import labelled_frames, within_range
+from gelgap.domains.frames.dataset import labelled_frames
+from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.inspection import log_notes
 
 STEPS = 100
@@ -378,7 +379,8 @@ def finetune(
     log_notes((shown, tested))
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
-    labelled, others = (labelled_frames(with_labels(part, model.labels)) for part in (shown, tested))
+    labelled = labelled_frames(with_labels(shown, model.labels))
+    others = labelled_frames(with_labels(tested, model.labels))
     unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))
     drawn = (
         _rows_of_clips(labelled, clips, seed) if frames is None else _rows_by_depth(labelled, frames, seed)
@@ -389,12 +391,11 @@ def finetune(
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
     before = len(drawn) + len(others)
     few, others = within_range(labelled.take(drawn)), within_range(others)
-    for what, part in (
-        (f"{on}: none of the {len(drawn)} drawn frames", few),
-        (f"{test}: none of the others", others),
-    ):
-        if not len(part):
-            raise ValueError(f"{what} lies within the ranges that the model was trained in, {model.labels}")
+    beyond = f"lies within the ranges that the model was trained in, {model.labels}"
+    if not len(few):
+        raise ValueError(f"{on}: none of the {len(drawn)} drawn frames {beyond}")
+    if not len(others):
+        raise ValueError(f"{test}: none of the others {beyond}")
     model = with_statistics_of(model, shown)
     tuned = fine_tune(model, few, steps=NEW_SENSOR_STEPS, learning_rate=NEW_SENSOR_LEARNING_RATE, seed=seed)
     return Finetuning(
@@ -422,8 +423,9 @@ def of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
     if len(at) == len(names):
         return model
     network = copy.deepcopy(model.network)
-    head, network.n_labels = network.regressor[0], len(at)
-    head.weight, head.bias = (nn.Parameter(values.detach()[at]) for values in (head.weight, head.bias))
-    head.out_features = len(at)
-    labels = Labels(tuple(names[k] for k in at), tuple(model.labels.ranges[k] for k in at))
+    head = network.regressor[0]
+    head.weight = nn.Parameter(head.weight.detach()[at])
+    head.bias = nn.Parameter(head.bias.detach()[at])
+    head.out_features = network.n_labels = len(at)
+    labels = Labels.of({names[k]: model.labels.ranges[k] for k in at})
     return replace(model, network=network, labels=labels)

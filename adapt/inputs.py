@@ -47,7 +47,7 @@ class InputMap(NamedTuple):
 class Input:
     """One way to show pictures: what it is, and the map of a domain, from its pictures (None: as they are paired).
 
-    It may have another number of channels than paired pictures, need their difference, show how far dots have moved
+    It may have another number of channels than paired pictures, need their difference, show how far markers have moved
     instead of colours, or have a backbone that stays as the checkpoint has it from which training starts.
     """
 
@@ -117,19 +117,19 @@ INPUTS = {
     ),
     "standardised": Input("each channel standardised by its domain's pictures", standardisation),
     "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
-    "markers": Input("how far the dots have moved", None, 2, needs_difference=True, shows_displacement=True),
+    "markers": Input("how far markers have moved", None, 2, needs_difference=True, shows_displacement=True),
     "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
 }
 """What a network can be shown."""
 
 
 class Displacements:
-    """How far the dots of each frame have moved along x and y, (n, 2, h, w) in pixels of the network's picture.
+    """How far the markers of each frame have moved along x and y, (n, 2, h, w) in pixels of the network's picture.
 
-    A picture less the same picture with its dots inpainted shows dots alone, whatever light falls on the gel. Their
+    A picture less the same picture with its markers inpainted shows these alone, whatever light falls on the gel. Their
     motion from the reference is Farnebäck's dense flow.
 
-    Raises a ValueError if the reference shows no dots.
+    Raises a ValueError if the reference shows no markers.
     """
 
     def __init__(self, frames: "LabelledFrames", size_px: tuple[int, int], device: object) -> None:
@@ -137,12 +137,12 @@ class Displacements:
         import torch
 
         flow_px = _FLOW_PX, round(_FLOW_PX * size_px[1] / size_px[0])
-        reference = _dots(frames.references_at(flow_px), frames.references_at(flow_px, markers=False))
+        reference = _only_markers(frames.references_at(flow_px), frames.references_at(flow_px, markers=False))
         if reference.astype(float).std(axis=(1, 2)).min() < _LEAST_DOTS:
             raise ValueError(
-                f"input markers: the reference of {frames.name} shows no dots; choose another input for this domain"
+                f"input markers: the reference of {frames.name} shows no markers; choose another input for this domain"
             )
-        pictures = _dots(frames.images(flow_px), frames.images(flow_px, markers=False))
+        pictures = _only_markers(frames.images(flow_px), frames.images(flow_px, markers=False))
         moved = np.empty((len(pictures), size_px[1], size_px[0], 2), np.float32)
         for k, (picture, own) in enumerate(zip(pictures, frames.reference_id, strict=True)):
             flow = np.zeros((*picture.shape, 2), np.float32)
@@ -158,7 +158,7 @@ class Displacements:
         return len(self._moved)
 
 
-def _dots(pictures: np.ndarray, without: np.ndarray) -> np.ndarray:
-    """Return the dots alone (n, h, w) uint8 of pictures (n, h, w, 3) and the same with their dots inpainted."""
+def _only_markers(pictures: np.ndarray, without: np.ndarray) -> np.ndarray:
+    """Return the markers alone (n, h, w) uint8 of pictures (n, h, w, 3) and the same with their markers inpainted."""
     difference = np.abs(pictures.astype(np.int16) - without).max(axis=3)
     return np.minimum(2 * difference, 255).astype(np.uint8)

@@ -20,8 +20,7 @@ from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
 from gelgap.domains import FORCE_COLUMNS, ArrayFrames, LabelledFrames, Labels
 
-_FORMAT = 1
-_DESCRIPTION = ("n_classes", "seed", "source", "size_px", "target", "method")
+_FORMAT = 2
 _INFERENCE_BATCH = 256
 _STATISTICS_BATCH = 64
 
@@ -88,7 +87,7 @@ class ForceModel:
         ------
         ValueError
             If a picture has another shape or type, another size than the reference, another aspect, or is too small;
-            for the input `markers` if the reference shows no dots.
+            for the input `markers` if the reference shows no markers.
         """
         picture, reference = np.asarray(picture), np.asarray(reference)
         pictures = picture if picture.ndim == 4 else picture[None]
@@ -145,14 +144,18 @@ class ForceModel:
 
     def save(self, path: str | Path) -> None:
         """Write the state dictionary and the description to one file."""
-        ranges = [list(bounds) for bounds in self.labels.ranges]
-        labels = {"labels": list(self.labels.names), "label_ranges": ranges}
         content = {
             "format": _FORMAT,
             "state": self.network.state_dict(),
             "profile": self.profile.model_dump_json(),
-            **({"force_range_n": ranges} if self.labels.names == FORCE_COLUMNS else labels),
-            **{name: getattr(self, name) for name in _DESCRIPTION},
+            "labels": list(self.labels.names),
+            "label_ranges": [list(bounds) for bounds in self.labels.ranges],
+            "n_classes": self.n_classes,
+            "seed": self.seed,
+            "source": self.source,
+            "size_px": self.size_px,
+            "target": self.target,
+            "method": self.method,
             "history": list(self.history),
             "input_map": TypeAdapter(InputMap | None).dump_python(self.input_map, mode="json"),
             "correction": TypeAdapter(AffineCorrection | None).dump_python(self.correction, mode="json"),
@@ -200,9 +203,7 @@ class ForceModel:
         # Before a network of that size is made.
         if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
             raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
-        names = content.get("labels", FORCE_COLUMNS)
-        ranges = content["label_ranges" if "labels" in content else "force_range_n"]
-        labels = Labels.of(dict(zip(names, ranges, strict=True)))
+        labels = Labels.of(dict(zip(content["labels"], content["label_ranges"], strict=True)))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
         TypeAdapter(tuple[PositiveInt, PositiveInt]).validate_python(content["size_px"])
@@ -216,7 +217,12 @@ class ForceModel:
             network,
             profile,
             labels,
-            **{name: content[name] for name in _DESCRIPTION},
+            n_classes=n_classes,
+            seed=content["seed"],
+            source=content["source"],
+            size_px=content["size_px"],
+            target=content["target"],
+            method=content["method"],
             history=tuple(content["history"]),
             input_map=shown,
             correction=correction,
@@ -239,7 +245,8 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> No
     state, own = checkpoint.network.state_dict(), network.state_dict()
     if checkpoint.labels.names != labels:
         common = [name for name in labels if name in checkpoint.labels.names]
-        to, at = ([names.index(name) for name in common] for names in (labels, checkpoint.labels.names))
+        to = [labels.index(name) for name in common]
+        at = [checkpoint.labels.names.index(name) for name in common]
         for key in ("regressor.0.weight", "regressor.0.bias"):
             known, state[key] = state[key], own[key].clone()
             state[key][to] = known[at]
@@ -273,14 +280,3 @@ def estimate_statistics(network: nn.Module, frames: LabelledFrames, profile: Pro
     order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
     update_bn(map(pictures.inputs, order), network)
     network.eval()
-
-
-@torch.no_grad()
-def move_towards(mean: nn.Module, network: nn.Module, share: float, buffers: bool = True) -> None:
-    """Move the weights of a running mean towards a network's by a share of the way, and its running statistics."""
-    pairs = [zip(mean.parameters(), network.parameters(), strict=True)]
-    if buffers:
-        pairs.append(zip(mean.buffers(), network.buffers(), strict=True))
-    for own, other in (pair for both in pairs for pair in both):
-        if own.is_floating_point():
-            own.lerp_(other, share)

@@ -128,7 +128,7 @@ class Profile(PresetSettings):
         if shown.channels is not None and self.colour_mixing:
             raise ValueError(f"input {self.input}: has no colours to mix; colour_mixing must be 0")
         if shown.shows_displacement and self.marker_hiding:
-            raise ValueError(f"input {self.input}: shows the dots alone; marker_hiding must be 0")
+            raise ValueError(f"input {self.input}: shows the markers alone; marker_hiding must be 0")
         return self
 
     @property
@@ -149,7 +149,7 @@ class Profile(PresetSettings):
 
     def replace(self, **changes: Any) -> "Profile":
         """Return a checked copy with some fields changed."""
-        return Profile(**{**self.model_dump(), **changes})
+        return Profile(**(self.model_dump() | changes))
 
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:

@@ -10,7 +10,7 @@ import pandas as pd
 from gelgap.adapt.evaluation import CONSTANT, Evaluation, r2_text, shared_unit, worse_than_constant
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
-from gelgap.adapt.runs import Run, load_predictions, load_runs
+from gelgap.adapt.run_record import Run, load_predictions, load_runs
 from gelgap.adapt.selection import Candidate, alarm, scores, select
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
@@ -243,10 +243,7 @@ def _histograms(
 
 
 def force_scatter(
-    true_n: np.ndarray,
-    predicted_n: Mapping[str, np.ndarray],
-    path: str | Path | None = None,
-    labels: tuple[str, ...] = FORCE_COLUMNS,
+    true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> "Figure":
     """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
 
@@ -268,12 +265,10 @@ def force_scatter(
             axes.set_title(f"{method}: {symbol}, MAE {np.abs(truth - guess).mean():.3f} {unit}", fontsize=9)
             axes.set_xlabel(f"true {what}", fontsize=8)
             axes.set_ylabel(f"predicted {what}", fontsize=8)
-    return _saved(figure, path)
+    return figure
 
 
-def feature_tsne(
-    features: Mapping[str, tuple[np.ndarray, np.ndarray]], path: str | Path | None = None, seed: int = 0
-) -> "Figure":
+def feature_tsne(features: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> "Figure":
     """Draw source and target features in one t-SNE plane per method (the paper's figure 5).
 
     features maps a method to source (n, D) and target (m, D) features; they need at least 3 frames together.
@@ -287,16 +282,9 @@ def feature_tsne(
     ):
         together = np.concatenate([source, target]).astype(np.float32)
         perplexity = min(30.0, (len(together) - 1) / 3)
-        plane = TSNE(perplexity=perplexity, random_state=seed, init="pca").fit_transform(together)
+        plane = TSNE(perplexity=perplexity, random_state=0, init="pca").fit_transform(together)
         axes.scatter(*plane[: len(source)].T, s=6, label="source", linewidths=0)
         axes.scatter(*plane[len(source) :].T, s=6, label="target", linewidths=0)
         axes.set(title=method, xticks=[], yticks=[])
         axes.legend(fontsize=8)
-    return _saved(figure, path)
-
-
-def _saved(figure: "Figure", path: str | Path | None) -> "Figure":
-    if path is not None:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=130)
     return figure

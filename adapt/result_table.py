@@ -1,6 +1,5 @@
 """Tables and figures of results: as text, Markdown, LaTeX, and one self-contained HTML page."""
 
-import base64
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -164,8 +163,8 @@ def write_pages(
         caption = markdown_text(figure.caption)
         parts.append(f"## {caption}\n\n![{caption}]({quote(figure.name)}.png)\n")
     latex = [table.latex() for table in tables]
-    embedded = [(figure.caption, base64.b64encode(png).decode()) for figure, png in pictures]
-    html = html_page("results.html", title=title, tables=tables, figures=embedded)
+    captioned = [(figure.caption, png) for figure, png in pictures]
+    html = html_page("results.html", title=title, tables=tables, figures=captioned)
     for ending, text in (("md", "\n".join(parts)), ("tex", "\n".join(latex)), ("html", html)):
         write_whole(folder / f"{name}.{ending}", text.encode())
     return folder / f"{name}.html"

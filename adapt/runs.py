@@ -1,8 +1,4 @@
-"""Runs of several methods on two domains: one stage 1, then each method; what is finished is not repeated.
-
-A finished run is a folder with run.json, predictions.npz and model.pt. Its name ends with the hash of all that decides
-the result.
-"""
+"""Doing runs: one stage 1 on a source, then each method on each target; what is finished is not repeated."""
 
 import hashlib
 import json
@@ -14,10 +10,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
 
 from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
 from gelgap.adapt.evaluation import (
@@ -33,23 +28,20 @@ from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
+from gelgap.adapt.run_record import RECORD, Run, load_run, write_run
 from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
 from gelgap.adapt.trainer import adapt, train_source, untrained
-from gelgap.assets.array_file import read_arrays
-from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
+from gelgap.assets.checksums import file_sha256
 from gelgap.assets.locks import sole_use
-from gelgap.assets.names import is_plain_name
 from gelgap.assets.progress import Progress, silent
-from gelgap.assets.settings import one_sentence
-from gelgap.assets.whole_file import warn, whole_file, write_whole
+from gelgap.assets.whole_file import warn
 from gelgap.domains import GeneratedDomain, LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 
-_RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
-_ARRAYS = ("target_predicted_n", "target_features", "source_true_n", "source_predicted_n", "source_features")
+_RESUME = "resume.pt"
 _METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
@@ -58,66 +50,6 @@ _STAGE_2_FIELDS = frozenset(
     if name.startswith(("adapt_", "transfer_", "classification_"))
     or name in ("batch_statistics", "regression_weight", "settings")
 )
-
-
-@dataclass(frozen=True)
-class Run:
-    """What one run was and what came out.
-
-    Attributes
-    ----------
-    labels
-        Names of the labels that it predicts.
-    target_test, target_constant_mean
-        Errors of the model, and of the source's mean force, on the target's test frames; None where it has no labels.
-    source_held_out, source_constant_mean
-        The same on the source's held-out frames, under the source's own statistics where the profile normalises each
-        domain by itself; None where it holds no frames out.
-    wall_s
-        Time by part: load (0 if another run had read the pictures), stage1 (0 if it was reused), stage2, evaluate.
-    problem
-        Why stage 2 failed: the features collapsed, or losses were not finite. Such a run has no model and counts with
-        the errors of the source's mean force.
-    oracles, unseen
-        Of generated domains: the errors of both oracles on the same frames, by name, and what of the gap no picture
-        shows.
-    baselines
-        Errors of rules without a network on the target's test frames; empty without labels.
-    label_free
-        What is known of a model where the target has no labels.
-    """
-
-    key: str
-    source: str
-    target: str
-    method: str
-    seed: int
-    labels: tuple[str, ...]
-    profile: dict[str, Any]
-    n_source: int
-    n_target: int
-    target_test: Evaluation | None
-    target_constant_mean: Evaluation | None
-    source_held_out: Evaluation | None
-    source_constant_mean: Evaluation | None
-    wall_s: dict[str, float]
-    skipped_steps: int
-    history: tuple[dict[str, Any], ...]
-    versions: dict[str, str]
-    problem: str | None = None
-    oracles: dict[str, Evaluation] = field(default_factory=dict)
-    unseen: tuple[str, ...] = ()
-    baselines: dict[str, Evaluation] = field(default_factory=dict)
-    label_free: LabelFree | None = None
-    folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
-
-    @property
-    def group(self) -> str:
-        """The adaptation group's name, such as "mb0i0 → wmb1i1"."""
-        return f"{self.source} → {self.target}"
-
-
-_RUN = TypeAdapter(Run)
 
 
 def adapt_folders(
@@ -182,7 +114,8 @@ def adapt_folders(
                 f"{', '.join(names)}: results are filed by name, and two have the same; rename one"
             )
     out = None if out_dir is None else Path(out_dir)
-    groups, stages = [], dict[tuple[str, str], Stage1]()
+    groups: list[tuple[LabelledFrames, Group]] = []
+    stages: dict[tuple[str, str], Stage1] = {}
     notes: list[str] = []
     for domain in targets:
         for own in profiles:
@@ -194,11 +127,15 @@ def adapt_folders(
             key = own.name, stage1_key(frames.source_train, own, seed, weights)
             stage1 = stages.setdefault(key, Stage1(frames.source_train, own, seed, weights, out, progress))
             # The source's pictures are in memory once for all targets.
-            groups.append(_Group(source, domain, replace(frames, source_train=stage1.source_train), stage1))
+            groups.append((domain, Group(replace(frames, source_train=stage1.source_train), stage1)))
     log_notes((source, *targets), notes)
-    for group in groups:
-        group.check(methods)
-    return [run for group in groups for run in group.runs(methods)]
+    for _, group in groups:
+        for method in methods:
+            group.check(method)
+    runs: list[Run] = []
+    for domain, group in groups:
+        runs += _runs_of(group, source, domain, methods)
+    return runs
 
 
 def _listed(value: Any) -> list[Any]:
@@ -206,50 +143,36 @@ def _listed(value: Any) -> list[Any]:
     return [value] if isinstance(value, str | Path | LabelledFrames | Profile) else list(value)
 
 
-@dataclass(frozen=True)
-class _Group:
-    """A source and a target under one profile, divided, and the stage 1 that all methods begin with."""
+def _runs_of(
+    group: "Group", source: LabelledFrames, target: LabelledFrames, methods: Sequence[str]
+) -> list[Run]:
+    """Do what is missing and return the runs of all methods."""
+    out = group.stage1.out
+    if out is None:
+        group = _with_oracles(group, source, target)
+        return [group.run(method)[0] for method in methods]
+    folders: dict[str, Path] = {}
+    for method in methods:
+        key = group.key(method)
+        folders[method] = out / f"{source.name}-{target.name}-{method}-{group.stage1.seed}-{key[:8]}"
+    missing = [method for method, folder in folders.items() if not (folder / RECORD).is_file()]
+    done: dict[str, Run] = {}
+    with ExitStack() as held:
+        for method in missing:
+            held.enter_context(sole_use(folders[method]))
+        if missing:
+            group = _with_oracles(group, source, target)
+        for method in missing:
+            done[method], _ = group.run(method, folders[method])
+    return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
-    source: LabelledFrames
-    target: LabelledFrames
-    frames: SplitFrames
-    stage1: "Stage1"
 
-    def check(self, methods: Sequence[str]) -> None:
-        """Check that both domains have what the methods need."""
-        for method in methods:
-            found = registry.find_method(method)
-            found.check_classes(method, self.frames.source_train)
-            if found.uses_target_labels:
-                labelled = labelled_frames(self.frames.target_train)
-                if len(labelled) < 2:
-                    raise ValueError(
-                        f"method {method} learns from labels of the target, and {len(labelled)} training frames of "
-                        f"{self.target.name} have them: leave it out, or label more"
-                    )
-                labelled.check_labels()
-
-    def runs(self, methods: Sequence[str]) -> list[Run]:
-        """Do what is missing and return the runs of all methods."""
-        source, target, frames, stage1 = self.source, self.target, self.frames, self.stage1
-        folders: dict[str, Path | None] = dict.fromkeys(methods)
-        if stage1.out is not None:
-            for method in methods:
-                key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
-                folders[method] = stage1.out / f"{source.name}-{target.name}-{method}-{stage1.seed}-{key[:8]}"
-        missing = [name for name, own in folders.items() if own is None or not (own / _RECORD).is_file()]
-        done = {}
-        with ExitStack() as held:
-            for method in missing:
-                if folders[method] is not None:
-                    held.enter_context(sole_use(folders[method]))
-            oracles = oracles_on(source, target, frames.target_test) if missing else {}
-            unseen: tuple[str, ...] = ()
-            if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
-                unseen = tuple(unseen_differences(source.recipe, target.recipe))
-            for method in missing:
-                done[method], _ = run_method(frames, stage1, method, folders[method], oracles, unseen)
-        return [done[method] if method in done else load_run(folders[method]) for method in methods]
+def _with_oracles(group: "Group", source: LabelledFrames, target: LabelledFrames) -> "Group":
+    """Return the group with what its generated domains tell: their oracles, and what no picture shows."""
+    unseen: tuple[str, ...] = ()
+    if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
+        unseen = tuple(unseen_differences(source.recipe, target.recipe))
+    return replace(group, oracles=oracles_on(source, target, group.frames.target_test), unseen=unseen)
 
 
 @dataclass(frozen=True)
@@ -312,16 +235,15 @@ class Stage1:
                 resume_file.unlink(missing_ok=True)
         return model, wall_s
 
-    def untrained(self) -> ForceModel:
-        """Return the model with which stage 1 begins."""
-        return untrained(self.source_train, self.profile, self.seed)
-
     def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
         """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
         found = registry.find_method(method)
         if found.uses_target_labels:
             target_train = labelled_frames(target_train)
-        start, stage1_s = self.model() if found.needs_stage_1 else (self.untrained(), 0.0)
+        if found.needs_stage_1:
+            start, stage1_s = self.model()
+        else:
+            start, stage1_s = untrained(self.source_train, self.profile, self.seed), 0.0
         for part in (self.source_train, target_train):
             part.images(self.profile.image_size_px)  # read before the clock starts
         begun, model, problem = time.perf_counter(), None, None
@@ -351,72 +273,103 @@ class Adapted(NamedTuple):
     wall_s: dict[str, float]
 
 
-def run_method(
-    frames: SplitFrames,
-    stage1: Stage1,
-    method: str,
-    folder: Path | None = None,
-    oracles: Mapping[str, Evaluation] | None = None,
-    unseen: tuple[str, ...] = (),
-) -> tuple[Run, ForceModel | None]:
-    """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed.
+@dataclass(frozen=True)
+class Group:
+    """Two domains under one profile, divided, and the stage 1 with which all methods begin.
 
-    `oracles` and `unseen` are the fields of the run that do not depend on the method.
+    `oracles` and `unseen` are the fields of a run that do not depend on the method.
     """
-    train, profile, begun = frames.source_train, stage1.profile, time.perf_counter()
-    for name, part in frames.parts.items():
-        if name != "target_validation":
-            part.images(profile.image_size_px)
-    load_s = time.perf_counter() - begun
-    adapted = stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
-    model, begun = adapted.model, time.perf_counter()
-    tested = {"target": frames.target_test, "source": frames.source_held_out}
-    constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
-    arrays = {} if model is None else _seen(model, frames)
-    judged = constant if arrays else {}
-    errors = {name: evaluate_frames(tested[name], arrays[f"{name}_predicted_n"]) for name in judged}
-    label_free = None
-    if model is not None and not len(frames.target_test):
-        candidate, starts = Candidate.of(arrays), registry.find_method(method).needs_stage_1
+
+    frames: SplitFrames
+    stage1: Stage1
+    oracles: Mapping[str, Evaluation] = field(default_factory=dict)
+    unseen: tuple[str, ...] = ()
+
+    def check(self, method: str) -> None:
+        """Raise a ValueError unless both domains have what a method needs."""
+        found = registry.find_method(method)
+        found.check_classes(method, self.frames.source_train)
+        if found.uses_target_labels:
+            labelled = labelled_frames(self.frames.target_train)
+            if len(labelled) < 2:
+                raise ValueError(
+                    f"method {method} learns from labels of the target, and {len(labelled)} training frames of "
+                    f"{self.frames.target_train.name} have them: leave it out, or label more"
+                )
+            labelled.check_labels()
+
+    def key(self, method: str) -> str:
+        """Return the key of a method's run."""
+        return run_key(self.frames, method, self.stage1.profile, self.stage1.seed, self.stage1.weights)
+
+    def run(self, method: str, folder: Path | None = None) -> tuple[Run, ForceModel | None]:
+        """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed."""
+        frames, profile = self.frames, self.stage1.profile
+        begun = time.perf_counter()
+        for name, part in frames.parts.items():
+            if name != "target_validation":
+                part.images(profile.image_size_px)
+        load_s = time.perf_counter() - begun
+        adapted = self.stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
+        begun = time.perf_counter()
+        arrays = {} if adapted.model is None else _shown_to(adapted.model, frames)
+        constant, errors = {}, {}
+        for name, part in (("target", frames.target_test), ("source", frames.source_held_out)):
+            if len(part):
+                constant[name] = evaluate_constant_mean(frames.source_train, part)
+                if arrays:
+                    errors[name] = evaluate_frames(part, arrays[f"{name}_predicted_n"])
+        label_free = None
+        if arrays and not len(frames.target_test):
+            label_free = self._label_free(method, arrays)
+        run = Run(
+            key=self.key(method),
+            source=frames.source_train.name,
+            target=frames.target_train.name,
+            method=method,
+            seed=self.stage1.seed,
+            labels=frames.source_train.labels.names,
+            profile=profile.model_dump(mode="json"),
+            n_source=len(frames.source_train),
+            n_target=len(frames.target_train),
+            target_test=errors.get("target", constant.get("target")),
+            target_constant_mean=constant.get("target"),
+            source_held_out=errors.get("source"),
+            source_constant_mean=constant.get("source"),
+            baselines=evaluate_baselines(frames) if len(frames.target_test) else {},
+            wall_s={"load": load_s} | adapted.wall_s | {"evaluate": time.perf_counter() - begun},
+            skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
+            history=adapted.history,
+            versions=versions(),
+            problem=adapted.problem,
+            oracles=dict(self.oracles),
+            unseen=self.unseen,
+            label_free=label_free,
+            folder=folder,
+        )
+        if folder is not None:
+            write_run(run, adapted.model, arrays)
+            (folder / _RESUME).unlink(missing_ok=True)
+        return run, adapted.model
+
+    def _label_free(self, method: str, arrays: Mapping[str, np.ndarray]) -> LabelFree:
+        candidate = Candidate.of(arrays)
         quantiles = np.quantile(arrays["target_predicted_n"], (0.05, 0.5, 0.95), axis=0).T.tolist()
-        label_free = LabelFree(
+        names = self.frames.source_train.labels.names
+        return LabelFree(
             scores=scores(candidate),
-            scores_before=scores(Candidate.of(_seen(stage1.model()[0], frames))) if starts else {},
-            quantiles=dict(zip(train.labels.names, map(tuple, quantiles), strict=True)),
+            scores_before=self._scores_before if registry.find_method(method).needs_stage_1 else {},
+            quantiles=dict(zip(names, map(tuple, quantiles), strict=True)),
             alarm=alarm(candidate),
         )
-    run = Run(
-        key=run_key(frames, method, profile, stage1.seed, stage1.weights),
-        source=train.name,
-        target=frames.target_train.name,
-        method=method,
-        seed=stage1.seed,
-        labels=train.labels.names,
-        profile=profile.model_dump(mode="json"),
-        n_source=len(train),
-        n_target=len(frames.target_train),
-        target_test=errors.get("target", constant.get("target")),
-        target_constant_mean=constant.get("target"),
-        source_held_out=errors.get("source"),
-        source_constant_mean=constant.get("source"),
-        baselines=evaluate_baselines(frames) if len(frames.target_test) else {},
-        wall_s={"load": load_s, **adapted.wall_s, "evaluate": time.perf_counter() - begun},
-        skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
-        history=adapted.history,
-        versions=versions(),
-        problem=adapted.problem,
-        oracles=dict(oracles or {}),
-        unseen=unseen,
-        label_free=label_free,
-        folder=folder,
-    )
-    if folder is not None:
-        _write(run, model, arrays)
-        (folder / _RESUME).unlink(missing_ok=True)
-    return run, model
+
+    @cached_property
+    def _scores_before(self) -> dict[str, float]:
+        """The selectors' scores of stage 1 on this target."""
+        return scores(Candidate.of(_shown_to(self.stage1.model()[0], self.frames)))
 
 
-def _seen(model: ForceModel, frames: SplitFrames) -> dict[str, np.ndarray]:
+def _shown_to(model: ForceModel, frames: SplitFrames) -> dict[str, np.ndarray]:
     """Return what `load_predictions` returns of a model."""
     arrays = {}
     for name, part in frames.shown.items():
@@ -473,106 +426,4 @@ def _key(
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on."""
     packages = {name: version(name) for name in ("gelgap", "torch", "numpy", "scikit-learn")}
-    return {"python": platform.python_version(), **packages}
-
-
-def _write(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
-    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
-
-    A run that failed has the record alone.
-    """
-    record = _RUN.dump_json(run, indent=1) + b"\n"
-    sums = {_RECORD: hashlib.sha256(record).hexdigest()}
-    if run.problem is None:
-        kept = {
-            name: values.astype(np.float16 if name.endswith("_features") else np.float32)
-            for name, values in arrays.items()
-        }
-        with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **kept)
-        model.save(run.folder / _MODEL)
-        sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
-    write_checksums(run.folder, sums)
-    write_whole(run.folder / _RECORD, record)
-
-
-def load_run(folder: str | Path) -> Run:
-    """Read a run's folder.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no finished run in the folder.
-    RuntimeError
-        If its record is damaged.
-    """
-    folder = Path(folder)
-    path = folder / _RECORD
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} holds no finished run ({_RECORD} is missing)")
-    if problem := checksum_problem(path):
-        raise _damaged(path, problem)
-    try:
-        run = _RUN.validate_python({**read_json(path), "folder": folder})
-        if not all(map(is_plain_name, (run.source, run.target, run.method))):
-            raise ValueError("source, target and method must be plain names")
-        if not isinstance(run.profile.get("name"), str) or not {"stage1", "stage2"} <= run.wall_s.keys():
-            raise ValueError("the profile must have a name, and wall_s both stages")
-        if run.target_test is None and run.label_free is None and run.problem is None:
-            raise ValueError("it has neither errors nor what is known without labels")
-    except (ValueError, TypeError) as error:
-        reason = one_sentence(error) if isinstance(error, ValidationError) else str(error)
-        raise _damaged(path, f"is not the record of a run: {reason}") from None
-    return run
-
-
-def load_runs(folder: str | Path) -> list[Run]:
-    """Read all finished runs below a folder, sorted by path.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there are none.
-    """
-    found = sorted(Path(folder).rglob(_RECORD))
-    if not found:
-        raise FileNotFoundError(
-            f"{folder} holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one"
-        )
-    return [load_run(path.parent) for path in found]
-
-
-def load_predictions(run: Run) -> dict[str, np.ndarray]:
-    """Return a run's arrays.
-
-    For the target's test frames and, as `source_…`, the source's held-out frames: `target_true_n` and
-    `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D). A run with other labels has
-    these in the same places, each in its unit. A target without labels has those of all its frames, and no
-    `target_true_n`; a source of which no frames are held out those of 400 training frames.
-
-    Raises
-    ------
-    RuntimeError
-        If the file is missing or damaged, or the run failed.
-    """
-    if run.folder is None:
-        raise ValueError("this run was not written to a folder, so there are no predictions to read")
-    if run.problem is not None:
-        raise RuntimeError(f"{run.group}, {run.method} has no predictions: {run.problem}")
-    path = run.folder / _PREDICTIONS
-    if problem := checksum_problem(path):
-        raise _damaged(path, problem)
-    try:
-        arrays = read_arrays(path)
-        needed = _ARRAYS if run.target_test is None else ("target_true_n", *_ARRAYS)
-        if missing := [name for name in needed if name not in arrays]:
-            raise ValueError(f"it lacks {', '.join(missing)}")
-    except ValueError as error:
-        raise _damaged(path, f"cannot be used: {error}") from None
-    return arrays
-
-
-def _damaged(path: Path, problem: str) -> RuntimeError:
-    return RuntimeError(
-        f"{path} {problem}; delete the folder {path.parent} and run the same `gelgap adapt` again"
-    )
+    return {"python": platform.python_version()} | packages

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gelgap.adapt.methods.dan import mk_mmd
+from gelgap.adapt.methods.mmd import mk_mmd
 
 if TYPE_CHECKING:
     from sklearn.pipeline import Pipeline

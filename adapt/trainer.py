@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from itertools import chain, count, islice, repeat, starmap
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from gelgap.adapt.data import (
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
 from gelgap.adapt.methods.registry import make_method
-from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start, move_towards
+from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start
 from gelgap.adapt.network import (
     Activations,
     ForceNetwork,
@@ -123,7 +122,6 @@ def adapt(
     *,
     resume_file: Path | None = None,
     progress: Progress = silent,
-    watch: Callable[[int, ForceModel], None] | None = None,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -136,8 +134,6 @@ def adapt(
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
         State after each epoch of stage 2; a training that finds it is resumed.
-    watch
-        Called after each epoch with its number and the model that stopping there would give.
 
     Raises
     ------
@@ -169,9 +165,6 @@ def adapt(
         input_map=input_map(target, profile, model.device),
     )
 
-    def show(epoch: int, network: ForceNetwork) -> None:
-        watch(epoch, replace(adapted, network=network.eval()))
-
     records: list[EpochRecord] = []
     with torch_threads(profile.threads):
         if chosen.trains:
@@ -185,7 +178,6 @@ def adapt(
                 title=f"{method} {source.name} → {target.name}",
                 resume_file=resume_file,
                 progress=progress,
-                watch=None if watch is None else show,
             )
         else:
             chosen.adapt(Adaptation(adapted.network, profile, seed, source, target))
@@ -243,7 +235,6 @@ def train(
     title: str,
     resume_file: Path | None = None,
     progress: Progress = silent,
-    watch: Callable[[int, ForceNetwork], None] | None = None,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> list[EpochRecord]:
     """Train a network in place by SGD and return what the epochs did.
@@ -256,8 +247,6 @@ def train(
         What progress and errors call the stage.
     resume_file
         Written after every epoch, read at the start if it exists.
-    watch
-        Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
     """
@@ -267,7 +256,7 @@ def train(
         epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
         final_weight = method.settings.final_weight(profile)
         target = TrainingDomain(target_frames, profile, network.device, labelled=method.uses_target_labels)
-        method.to(network.device).begin(network)
+        method.to(network.device)
     source = TrainingDomain(source_frames, profile, network.device, labelled=True)
     steps = steps_per_epoch(len(source), profile.batch_size)
     optimizer = _make_optimizer(network, method, profile, rate)
@@ -298,9 +287,7 @@ def train(
                 optimizer.step()
                 if average is not None:
                     # At first the average is short, so that it forgets where training began.
-                    move_towards(average, network, 1 - min(profile.averaging, (1 + number) / (10 + number)))
-                if method is not None:
-                    method.after_step(network)
+                    _move_towards(average, network, 1 - min(profile.averaging, (1 + number) / (10 + number)))
             skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
             if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
                 raise _diverged(title, losses, norm)
@@ -309,15 +296,11 @@ def train(
         if method is not None:
             _check_collapse(records)
         _store(resume_file, state, records)
-        if watch is not None:
-            reached = copy.deepcopy(average or network)
-            _finish(reached, method, target_frames, profile, seed)
-            watch(epoch + 1, reached)
         progress(title, epoch + 1, epochs, str(records[-1]))
     if average is not None:
         network.load_state_dict(average.state_dict())
-    if method is not None:
-        _finish(network, method, target_frames, profile, seed)
+    if method is not None and profile.judges_by_own_statistics:
+        estimate_statistics(network, target_frames, profile, seed)
     return records
 
 
@@ -328,22 +311,31 @@ def batches_of(
 
     An epoch is one pass over the source. The target is cycled, permutation after permutation.
     """
-
-    def order(domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
-        """Return which frames make the batches of one pass, and which batches are shown without markers."""
-        key = seed, draw, number
-        rows = epoch_order(len(domain), profile.batch_size, *key)
-        return zip(rows, hidden_batches(len(rows), profile.marker_hiding, *key), strict=True)
-
-    stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
-    of_source = starmap(source.batch, order(source, stage, epoch))
     if target is None:
-        return zip(of_source, repeat(None), strict=False)
-    done = epoch * steps_per_epoch(len(source), profile.batch_size)
-    cycle, offset = divmod(done, steps_per_epoch(len(target), profile.batch_size))
-    cycles = (order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
-    of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
-    return zip(of_source, of_target, strict=False)
+        for batch in _one_pass(source, profile, seed, Draw.STAGE_1, epoch):
+            yield batch, None
+        return
+    of_target = _cycled(target, profile, seed, epoch * steps_per_epoch(len(source), profile.batch_size))
+    for batch in _one_pass(source, profile, seed, Draw.STAGE_2, epoch):
+        yield batch, next(of_target)
+
+
+def _one_pass(
+    domain: TrainingDomain, profile: Profile, seed: int, draw: Draw, number: int, first: int = 0
+) -> Iterator[Batch]:
+    """Yield the batches of one pass over a domain from the first wanted one, some without markers."""
+    rows = epoch_order(len(domain), profile.batch_size, seed, draw, number)
+    hidden = hidden_batches(len(rows), profile.marker_hiding, seed, draw, number)
+    for step in range(first, len(rows)):
+        yield domain.batch(rows[step], hidden[step])
+
+
+def _cycled(target: TrainingDomain, profile: Profile, seed: int, step: int) -> Iterator[Batch]:
+    """Yield the target's batches from a step on, without end."""
+    number, first = divmod(step, steps_per_epoch(len(target), profile.batch_size))
+    while True:
+        yield from _one_pass(target, profile, seed, Draw.STAGE_2_TARGET, number, first)
+        number, first = number + 1, 0
 
 
 def _losses(
@@ -381,8 +373,7 @@ def _activations(
     if target is not None:
         rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
         target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
-        of_source = method.augment_source(shown[0], target.inputs, step)
-        shown = [of_source, method.augment(target.inputs, step)]
+        shown = [method.augment_source(shown[0], target.inputs, step), target.inputs]
     with autocast(profile, network.device):
         if target is not None and profile.batch_statistics == "joint":
             features = network.features(torch.cat(shown)).split(list(map(len, shown)))
@@ -393,10 +384,20 @@ def _activations(
         share, logits = profile.classification_feedback, None
         if method is not None and method.uses_classifier:
             logits = network.classifier(share * features + (1 - share) * features.detach())
-        return Activations(features, network.regressor(features), logits, **batch._asdict())
+        prediction = network.regressor(features)
+        return Activations(features, prediction, logits, batch.force, batch.contact_class, batch.inputs)
 
     activations = heads(features[0].float(), source)
     return activations, None if target is None else heads(features[1].float(), target)
+
+
+@torch.no_grad()
+def _move_towards(mean: ForceNetwork, network: ForceNetwork, share: float) -> None:
+    """Move the weights and statistics of a running mean towards a network's by a share of the way."""
+    of_mean, of_network = [*mean.parameters(), *mean.buffers()], [*network.parameters(), *network.buffers()]
+    for own, other in zip(of_mean, of_network, strict=True):
+        if own.is_floating_point():
+            own.lerp_(other, share)
 
 
 def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int) -> None:
@@ -418,15 +419,6 @@ def _diverged(title: str, losses: Mapping[str, Tensor], norm: Tensor) -> Trainin
         f"{title}: {MAX_SKIPPED_IN_A_ROW} steps in a row had a loss or gradient that is not finite ({values}, "
         f"gradient norm {float(norm):.3g}); lower the learning rate or the transfer weight"
     )
-
-
-def _finish(
-    network: ForceNetwork, method: Method, target: LabelledFrames, profile: Profile, seed: int
-) -> None:
-    """Turn a network in training into the result, under the target's statistics where domains have their own."""
-    method.finish(network)
-    if profile.judges_by_own_statistics:
-        estimate_statistics(network, target, profile, seed)
 
 
 def _store(resume_file: Path | None, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
@@ -542,8 +534,10 @@ def _make_optimizer(
     heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
     factor = 0.0 if INPUTS[profile.input].frozen else profile.backbone_rate_factor
     of_heads = [p for module in heads for p in module.parameters()]
-    rates = (list(network.backbone.parameters()), rate * factor), (of_heads, rate)
-    groups = [{"params": own, "lr": initial, "initial_lr": initial} for own, initial in rates]
+    groups = [
+        {"params": list(network.backbone.parameters()), "initial_lr": rate * factor},
+        {"params": of_heads, "initial_lr": rate},
+    ]
     return torch.optim.SGD(groups, rate, profile.momentum, weight_decay=profile.weight_decay)
 
 

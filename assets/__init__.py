@@ -1,6 +1,7 @@
 """Presets, reference tables and page templates that ship with gelgap, and the functions that read them."""
 
 import tomllib
+from base64 import b64encode
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -48,7 +49,10 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
 
 
 def html_page(template: str, **values: Any) -> str:
-    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe."""
+    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe.
+
+    A picture within the page is the bytes of its file, which the filter `base64` embeds.
+    """
     return _environment().get_template(template).render(**values)
 
 
@@ -56,10 +60,12 @@ def html_page(template: str, **values: Any) -> str:
 def _environment() -> Any:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader(asset_path("templates")),
         autoescape=select_autoescape(["html"]),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["base64"] = lambda data: b64encode(data).decode()
+    return environment

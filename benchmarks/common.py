@@ -288,8 +288,7 @@ def drawn_means(values: np.ndarray, clusters: Sequence[object] | None = None) ->
     clusters = list(range(cases) if clusters is None else clusters)
     known = list(dict.fromkeys(clusters))
     rng = np.random.default_rng(0)
-    drawn = [rng.integers(number, size=(RESAMPLES, number)) for number in (len(known), seeds)]
-    of_clusters, of_seeds = (np.stack([np.bincount(row, minlength=len(row)) for row in own]) for own in drawn)
+    of_clusters, of_seeds = _times_drawn(rng, len(known)), _times_drawn(rng, seeds)
     of_cases = of_clusters[:, [known.index(cluster) for cluster in clusters]]
     there = ~np.isnan(values)
     with np.errstate(invalid="ignore"):
@@ -298,6 +297,12 @@ def drawn_means(values: np.ndarray, clusters: Sequence[object] | None = None) ->
         there = ~np.isnan(of_case)
         total = np.einsum("rc,r...c->r...", of_cases, np.where(there, of_case, 0.0))
         return total / np.einsum("rc,r...c->r...", of_cases, there)
+
+
+def _times_drawn(rng: np.random.Generator, number: int) -> np.ndarray:
+    """Return how often each of `number` things is in each draw with replacement (RESAMPLES, number)."""
+    drawn = rng.integers(number, size=(RESAMPLES, number))
+    return np.stack([np.bincount(row, minlength=number) for row in drawn])
 
 
 def bootstrap(values: np.ndarray) -> tuple[float, float]:
@@ -330,9 +335,6 @@ def processor_s(
 def rms(values: Any) -> float:
     """Return the root mean square of an array, or of what makes one."""
     return float(np.sqrt(np.square(values).mean()))
-
-
-result_table = ResultTable.of
 
 
 def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:

@@ -63,7 +63,7 @@ BENCHMARKS = {
         "what each input is worth, with five methods", "adaptation.report:run_inputs", has_quick_form=False
     ),
     "adaptation-lights": Benchmark(
-        "training in drawn lights instead of adapting", "adaptation.report:run_lights", has_quick_form=False
+        "training in random lights instead of adapting", "adaptation.report:run_lights", has_quick_form=False
     ),
     "real": Benchmark(
         "force from one real session's light to another's, by one number of a picture",

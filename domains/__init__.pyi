@@ -7,9 +7,9 @@ from .formats.export import export as export
 from .formats.export import to_skada as to_skada
 from .frames.dataset import ArrayFrames as ArrayFrames
 from .frames.dataset import LabelledFrames as LabelledFrames
-from .frames.dataset import join_domains as join_domains
 from .frames.dataset import with_labels as with_labels
 from .frames.folders import open_domain as open_domain
+from .frames.joined import join_domains as join_domains
 from .frames.labels import FORCE_COLUMNS as FORCE_COLUMNS
 from .frames.labels import QUANTITIES as QUANTITIES
 from .frames.labels import Labels as Labels

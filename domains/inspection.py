@@ -1,6 +1,5 @@
 """What a data set holds: counts, ranges, what is unusual, whether its files are intact, and one page that shows it."""
 
-import base64
 import io
 import json
 import logging
@@ -15,9 +14,10 @@ from gelgap.assets import html_page
 from gelgap.assets.image_file import decode_image, stated_size_px
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.domains.frames.dataset import LabelledFrames, outside
+from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import PictureFiles, open_domain
 from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_labels
+from gelgap.domains.frames.run_labels import outside
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import GROUPS
@@ -25,6 +25,7 @@ from gelgap.domains.sweep import domain_gap, unseen_differences
 from gelgap.render.imaging import picture_gap
 
 LOG = logging.getLogger(__name__)
+_MOST_SAMPLES = 14
 _SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -245,8 +246,8 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
     return page
 
 
-def _plots(frames: LabelledFrames) -> str:
-    """Return a histogram of each label and, where they are known, the places of the contacts, as PNG in base64."""
+def _plots(frames: LabelledFrames) -> bytes:
+    """Return a histogram of each label and, where they are known, the places of the contacts, as PNG."""
     from matplotlib.figure import Figure
 
     labels, has_places = frames.labels, {"x_mm", "y_mm"} <= frames.columns.keys()
@@ -268,26 +269,24 @@ def _plots(frames: LabelledFrames) -> str:
         axes.spines[["top", "right"]].set_visible(False)
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=110)
-    return _base64(out.getvalue())
+    return out.getvalue()
 
 
-def _base64(png: bytes) -> str:
-    return base64.b64encode(png).decode()
-
-
-def _samples(frames: LabelledFrames, count: int = 14) -> list[dict[str, str]]:
+def _samples(frames: LabelledFrames) -> list[dict[str, bytes | str]]:
     """Return the reference and frames of evenly spread classes, or without classes of an evenly spread label."""
     names = usual_labels(frames.columns)
     order = np.argsort(frames.columns[names[-1]]) if names else np.arange(len(frames))
     if frames.has_classes:
         order = np.lexsort((frames.point_id, frames.contact_class))
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, count).astype(int))] if len(order) else order
-    shown = [{"png": _base64(encode_png(frames.reference)), "caption": "reference"}]
+    chosen = (
+        order[np.unique(np.linspace(0, len(order) - 1, _MOST_SAMPLES).astype(int))] if len(order) else order
+    )
+    shown: list[dict[str, bytes | str]] = [{"png": encode_png(frames.reference), "caption": "reference"}]
     for index in chosen.tolist():
         values = ", ".join(f"{frames.columns[name][index]:.2f}" for name in names) or f"frame {index}"
         units = ", ".join(dict.fromkeys(QUANTITIES[name].unit for name in names))
         caption = f"({values}) {units}" if len(names) > 1 else f"{values} {units}"
         if frames.contact_class[index] >= 0:
             caption = f"class {frames.contact_class[index]}: {caption}"
-        shown.append({"png": _base64(encode_png(frames.picture(index))), "caption": caption})
+        shown.append({"png": encode_png(frames.picture(index)), "caption": caption})
     return shown

@@ -41,10 +41,13 @@ _PAD_MM = (80.0, 80.0)
 SHARE_OF_VIEW = 0.7
 # Deeper than this share of its radius a sphere is not pressed.
 _DEEPEST_BY_RADIUS = 0.6
-_DOTS_BY_PITCH = 0.35
+_MARKER_BY_PITCH = 0.35
 _LOGARITHMIC = {
-    *("young_modulus_mpa", "friction", "sphere_diameter_mm"),
-    *("full_well_electrons", "read_noise_electrons"),
+    "young_modulus_mpa",
+    "friction",
+    "sphere_diameter_mm",
+    "full_well_electrons",
+    "read_noise_electrons",
 }
 _QUICK = {"presses": 1, "depths": 1, "sphere_diameter_mm": (3.0, 3.0), "deepest_by_thickness": (0.05, 0.05)}
 
@@ -76,7 +79,7 @@ class PretrainingRanges(Settings):
     point_spread_px: RisingInterval
     full_well_electrons: PositiveInterval
     read_noise_electrons: PositiveInterval
-    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has dots")
+    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has markers")
     marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
 
@@ -100,11 +103,11 @@ class PretrainingRanges(Settings):
             default, given = cls.default().model_dump(), read_toml(path)
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
-            return cls(**{**default, **given})
+            return cls(**(default | given))
 
     def in_quick_form(self) -> Self:
         """Return these ranges with one shallow press of a small sphere: to see that all works, not to learn."""
-        return type(self)(**{**self.model_dump(), **_QUICK})
+        return type(self)(**(self.model_dump() | _QUICK))
 
 
 def pretraining_recipes(
@@ -120,8 +123,8 @@ def pretraining_recipes(
     """Return the recipes of domains drawn from ranges, named `pretraining-0000` and so on.
 
     Of the factors `without` (see `RANDOM_FACTORS`), every domain has the middle instead: the middle of each range, the
-    first sensor and illumination as they are, no dots. The draws of the others are the same as with them. The quality
-    is that of physics and pictures.
+    first sensor and illumination as they are, no markers. The draws of the others are the same as with them. The
+    quality is that of physics and pictures.
 
     Raises
     ------
@@ -226,7 +229,7 @@ class Draws:
         )
 
     def seen_by(self, number: int) -> tuple[Sensor, Illumination, bool]:
-        """Return a sensor with drawn camera and dots, its light, and whether it has dots."""
+        """Return a sensor with drawn camera and markers, its light, and whether it has markers."""
         sensor, illumination = self.light(number)
         markers = self.markers(number)
         parts = {"camera": self.camera(number, sensor.camera)} | ({"markers": markers} if markers else {})
@@ -246,12 +249,12 @@ class Draws:
         illumination = vary_illumination(illumination, ranges.variation, rng)
         leds = illumination.leds
         exposure = sensor.camera.exposure * self.at("brightness", rng.random())
-        camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
-        colours = [
-            {name: getattr(leds[k], name) for name in ("spectrum", "drive")}
-            for k in rng.permutation(len(leds))
+        camera = Camera(**(sensor.camera.model_dump() | {"exposure": exposure}))
+        order = rng.permutation(len(leds))
+        swapped = [
+            led.model_copy(update={"spectrum": leds[k].spectrum, "drive": leds[k].drive})
+            for led, k in zip(leds, order, strict=True)
         ]
-        swapped = [led.model_copy(update=own) for led, own in zip(leds, colours, strict=True)]
         return (
             sensor.model_copy(update={"camera": camera}),
             illumination.model_copy(update={"leds": tuple(swapped)}),
@@ -263,21 +266,21 @@ class Draws:
         well, read = self.values("noise", "noise", number, "full_well_electrons", "read_noise_electrons")
         half_angle = math.atan2(view_mm / 2, -camera.position_mm[2])
         drawn = {
-            "horizontal_field_of_view_deg": 2 * math.degrees(half_angle),
-            "point_spread_px": blur_px,
-            "full_well_electrons": well,
-            "read_noise_electrons": read,
+            "horizontal_field_of_view_deg": round(2 * math.degrees(half_angle), 6),
+            "point_spread_px": round(blur_px, 6),
+            "full_well_electrons": round(well, 6),
+            "read_noise_electrons": round(read, 6),
         }
-        return Camera(**{**camera.model_dump(), **{name: round(value, 6) for name, value in drawn.items()}})
+        return Camera(**(camera.model_dump() | drawn))
 
     def markers(self, number: int) -> Markers | None:
-        """Return dots over the whole view, or None."""
+        """Return markers over the whole view, or None."""
         has_markers, pitch = self.stream("markers", number).random(2).tolist()
         if "markers" in self.without or has_markers >= self.ranges.with_markers:
             return None
         pitch_mm = round(self.at("marker_pitch_mm", pitch), 3)
         across = math.ceil(self.ranges.view_mm[1] / pitch_mm)
-        diameter_mm = round(_DOTS_BY_PITCH * pitch_mm, 3)
+        diameter_mm = round(_MARKER_BY_PITCH * pitch_mm, 3)
         return Markers(columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=diameter_mm)
 
     def poses(self, number: int, press: Press, frames: int, view_mm: tuple[float, float]) -> tuple[Pose, ...]:

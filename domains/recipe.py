@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, TypeAdapter, model_validator
 
 from gelgap.assets import load_preset
@@ -84,6 +85,12 @@ class DrawnErrors:
         )
 
 
+def _moved_levels(levels_mm: Sequence[float], rng: np.random.Generator) -> dict[float, float]:
+    """Return each level of depth or travel moved by up to a quarter of their spacing, by the level."""
+    room = _spacing(levels_mm) / 4
+    return {level: max(_RESOLUTION_MM, _rounded(level + rng.uniform(-room, room))) for level in levels_mm}
+
+
 def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, ...]:
     """Return the path's poses moved within their cells, so that no contact has an exact partner in another domain.
 
@@ -92,10 +99,7 @@ def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, 
     repeat their levels too, and poses at one level share their solves.
     """
     rng = random_stream(seed, domain, "contacts")
-    depths, radii = (
-        {level: max(_RESOLUTION_MM, _rounded(level + rng.uniform(-room, room))) for level in levels}
-        for levels, room in ((own, _spacing(own) / 4) for own in (path.depths_mm, path.radii_mm))
-    )
+    depths, radii = _moved_levels(path.depths_mm, rng), _moved_levels(path.radii_mm, rng)
     half_angle = 180.0 / max(len(path.angles_deg), 1)
     point_room = [_spacing(values) / 4 for values in (path.points_x_mm, path.points_y_mm)]
     points: dict[int, tuple[float, float]] = {}

@@ -15,7 +15,9 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from gelgap.assets.names import one_line
 from gelgap.domains.domain import word
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames, join_domains, within_range
+from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames
+from gelgap.domains.frames.joined import join_domains
+from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
 from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, QualityName
@@ -242,19 +244,18 @@ class PressStream(IterableDataset):
         for index in range(start, stop):
             sample = self.sample(index)
             of_look.setdefault(sample.draw["look"], []).append(sample)
-        parts = [
-            within_range(
-                ArrayFrames(
-                    f"look {look:.0f}",
-                    np.stack([sample.picture for sample in samples]),
-                    samples[0].reference,
-                    np.stack([sample.force_n for sample in samples]).astype(float),
-                    force_range_n=np.array(self.ranges.force_range_n),
-                )
+        parts = []
+        for look, samples in of_look.items():
+            frames = ArrayFrames(
+                f"look {look:.0f}",
+                np.stack([sample.picture for sample in samples]),
+                samples[0].reference,
+                np.stack([sample.force_n for sample in samples]).astype(float),
+                force_range_n=np.array(self.ranges.force_range_n),
             )
-            for look, samples in of_look.items()
-        ]
-        parts = [part for part in parts if len(part)]
+            within = within_range(frames)
+            if len(within):
+                parts.append(within)
         if not parts:
             raise ValueError(f"samples {start} to {stop}: no force is within force_range_n")
         return join_domains(parts)

@@ -28,7 +28,7 @@ def pickled(folder: Path) -> bytes:
 
 def torch_bait(folder: Path) -> bytes:
     buffer = io.BytesIO()
-    torch.save({"format": 1, "state": Bait(folder / "bait")}, buffer)
+    torch.save({"format": 2, "state": Bait(folder / "bait")}, buffer)
     return buffer.getvalue()
 
 

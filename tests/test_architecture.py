@@ -28,7 +28,7 @@ ALLOWED = {
     "domains": {"assets", "sim", "render"},
     "view": {"assets", "sim", "render", "domains"},
     "adapt": {"assets", "domains"},
-    "benchmarks": {"assets", "sim", "render", "domains", "view", "adapt"},
+    "benchmarks": {"assets", "sim", "render", "domains", "adapt"},
     "cli": {"assets", "sim", "render", "domains", "view", "adapt", "benchmarks"},
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")

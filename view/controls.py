@@ -230,7 +230,7 @@ class Controls:
 
     def _with_led(self, **values: Any) -> Configuration:
         leds = list(self.wanted.illumination.leds)
-        leds[self.chosen_led] = Led(**{**dict(self._led), **values})
+        leds[self.chosen_led] = Led(**(dict(self._led) | values))
         light = self.wanted.illumination.model_copy(update={"leds": tuple(leds)})
         return self._with(illumination=light)
 
@@ -255,5 +255,5 @@ def _replaced(thing: Any, path: str, value: Any) -> Any:
     first, _, rest = path.partition(".")
     inner = _replaced(getattr(thing, first), rest, value) if rest else value
     if isinstance(thing, BaseModel):
-        return type(thing)(**{**dict(thing), first: inner})
+        return type(thing)(**(dict(thing) | {first: inner}))
     return replace(thing, **{first: inner})

@@ -1,6 +1,5 @@
 """Parts of the page that show things: camera and figures, and a source beside the target."""
 
-from base64 import b64encode
 from html import escape
 from typing import Any
 
@@ -87,8 +86,7 @@ def _figures(shown: Shown, colours: str) -> dict[str, Any]:
 
 def narrow_html(shown: Shown, colours: str) -> str:
     """Return picture and figures as HTML for windows too narrow for panels side by side; hidden in wider ones."""
-    picture = b64encode(encode_jpeg(shown.picture, 85)).decode()
-    return html_page("panel.html", picture=picture, **_figures(shown, colours))
+    return html_page("panel.html", picture=encode_jpeg(shown.picture, 85), **_figures(shown, colours))
 
 
 class ComparePanel:

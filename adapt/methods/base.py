@@ -162,13 +162,6 @@ class Method(nn.Module):
     def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network in another way; a method that has this is not trained."""
 
-    def begin(self, network: ForceNetwork) -> None:
-        """Prepare for stage 2 of a network; by default nothing."""
-
-    def augment(self, inputs: Tensor, step: Step) -> Tensor:
-        """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
-        return inputs
-
     def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
         """Return what the network is shown of the source's inputs, the target's (B, channels, h, w) beside them."""
         return inputs
@@ -180,9 +173,3 @@ class Method(nn.Module):
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         """Return what is added to a step's loss; by default λ_t times `transfer_loss`, and nothing while λ_t is 0."""
         return None if step.weight == 0 else TransferLoss(self.transfer_loss(source, target), step.weight)
-
-    def after_step(self, network: ForceNetwork) -> None:
-        """Follow a step of the network in training; by default nothing."""
-
-    def finish(self, network: ForceNetwork) -> None:
-        """Turn the network as trained into the result; by default it is the result."""

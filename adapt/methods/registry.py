@@ -23,13 +23,13 @@ METHODS = {
     "adabn": "controls:AdaBN",
     "no-transfer": "controls:NoTransfer",
     "classifier-only": "controls:ClassifierOnly",
-    "dan": "dan:DAN",
-    "jan": "dan:JAN",
+    "dan": "mmd:DAN",
+    "jan": "mmd:JAN",
     "dann": "dann:DANN",
     "cdan": "dann:CDAN",
     "rsd": "rsd:RSD",
     "daregram": "daregram:DAREGRAM",
-    "dsan": "dsan:DSAN",
+    "dsan": "mmd:DSAN",
     "uga": "uga:UGA",
     "fourier-style": "fourier_style:FourierStyle",
     "supervised": "controls:Supervised",
@@ -133,11 +133,6 @@ def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return kind(settings, profile.feature_dim, n_classes, n_labels)
-
-
-def transfer_weight(name: str, profile: "Profile") -> float:
-    """Return λ_t of a method: the profile's, unless its settings for the method say otherwise."""
-    return method_settings(name, profile).final_weight(profile)
 
 
 def _keep(name: str, method: "type[Method]") -> None:

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
-from gelgap.adapt.methods.dan import mk_mmd
+from gelgap.adapt.methods.mmd import mk_mmd
 from gelgap.adapt.network import Activations
 
 _LEAST = 1e-5

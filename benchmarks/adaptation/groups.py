@@ -1,8 +1,8 @@
 """The headline: all methods on groups of two sensors whose contact points are apart, several seeds, split by point.
 
-The *share of the headroom closed* is (start − error)/(start − ceiling), numerator and denominator as means over the
-groups. The start is source-only's error in a group and seed, or the constant mean's where that is less. The ceiling is
-the error of the same network trained on the target's own labels, at its other contact points.
+The *gap closed* is (start − error)/(start − upper bound), numerator and denominator as means over the groups. The start
+is source-only's error in a group and seed, or the constant mean's where that is less. The upper bound is the error of
+the same network trained on the target's own labels, at its other contact points.
 
 Groups of the same two sensors, in either direction or with other markers, are not independent, and a seed gives all
 groups their split and weights: intervals and p-values draw pairs of sensors, with all their groups, and seeds.
@@ -20,8 +20,8 @@ from gelgap.adapt import ResultTable
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
 from gelgap.adapt.result_table import cell
-from gelgap.benchmarks.adaptation import board, designs
-from gelgap.benchmarks.adaptation.board import AXES, CEILING, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN
+from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.adaptation.board import AXES, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN, UPPER_BOUND
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
     Part,
@@ -32,13 +32,13 @@ from gelgap.benchmarks.adaptation.study import (
     load_runs,
     with_errors,
 )
-from gelgap.benchmarks.common import RESAMPLES, Setting, drawn_means, interval, result_table
+from gelgap.benchmarks.common import RESAMPLES, Setting, drawn_means, interval
 
 SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
-QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", CEILING)
+QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", UPPER_BOUND)
 LEAST_R2 = 0.9
-"""R² that the ceiling must reach on each axis of a target; shares of the headroom leave other targets out."""
+"""R² that the upper bound must reach on each axis of a target; the gap closed leaves other targets out."""
 R2 = [f"R² {axis}" for axis in AXES]
 NAMES = [" → ".join(group) for group in (*GROUPS, *LIGHT_GROUPS)]
 SHRUNK = "adabn's Fz, mean shear"
@@ -54,7 +54,7 @@ CAVEAT = (
 
 
 def measure(study: Study) -> None:
-    """Do the missing runs: of a seed the ceilings, then all methods; those on shifted labels come last."""
+    """Do the missing runs: of a seed the upper bounds, then all methods; those on shifted labels come last."""
     from gelgap.domains import make_recipes
     from gelgap.sim import ContactPath
 
@@ -75,24 +75,24 @@ def measure(study: Study) -> None:
 def headline_grid(
     methods: Sequence[str] = (), seeds: Iterable[int] = SEEDS, groups: Sequence[board.Group] | None = None
 ) -> list[Setting]:
-    """Return all runs: a seed is complete, ceilings first, before the next one begins; shifted labels are last."""
+    """Return all runs: a seed is complete, upper bounds first, before the next one begins; shifted labels are last."""
     seeds, groups = list(seeds), list(groups or (*GROUPS, *LIGHT_GROUPS))
-    own = [method for method in methods or board.METHODS if method != CEILING]
-    main = [method for method in methods or board.MAIN_METHODS if method != CEILING]
+    own = [method for method in methods or board.METHODS if method != UPPER_BOUND]
+    main = [method for method in methods or board.MAIN_METHODS if method != UPPER_BOUND]
     found = []
     for seed in seeds:
-        runs = grid([(designs.DATA, group) for group in groups], own, [seed])
-        found += [*ceilings_of(runs), *runs]
+        runs = grid([(board.DATA, group) for group in groups], own, [seed])
+        found += [*upper_bounds_of(runs), *runs]
     return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
 
 
-def ceilings_of(runs: list[Setting]) -> list[Setting]:
-    """Return the ceilings of the targets of runs: training on themselves, on the profile's own input."""
+def upper_bounds_of(runs: list[Setting]) -> list[Setting]:
+    """Return the upper bounds of the targets of runs: training on themselves, on the profile's own input."""
     targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
-    return [run for name, seed in targets for run in grid([(designs.DATA, (name, name))], [PLAIN], [seed])]
+    return [run for name, seed in targets for run in grid([(board.DATA, (name, name))], [PLAIN], [seed])]
 
 
-def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
+def load_headline(folder: Path, data: str = board.DATA) -> pd.DataFrame:
     """Return the runs of a data set.
 
     Raises
@@ -111,7 +111,7 @@ def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
     return runs
 
 
-def load_ceilings(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
+def load_upper_bounds(folder: Path, data: str = board.DATA) -> pd.DataFrame:
     """Return a data set's runs of targets that were trained on themselves, by target and seed."""
     runs = load_runs(folder / RUNS)
     runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT])]
@@ -141,15 +141,15 @@ def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
 def counted(runs: pd.DataFrame, values: str | list[str] = "error_n") -> pd.DataFrame:
     """Return values by group and seed (rows) and method, of the pairs that all methods have finished.
 
-    Rules come first, then methods in the board's order, others last. The ceiling apart: methods are compared on what
-    every one of them has finished. A run that collapsed counts with the error of the constant mean that it became.
+    Rules come first, then methods in the board's order, others last. Methods, the upper bound apart, are compared on
+    what every one of them has finished. A run that collapsed counts with the error of the constant mean that it became.
     """
     table = runs.pivot(index=["group", "seed"], columns="method", values=values)
     there = runs["method"].unique()
     methods = [method for method in dict.fromkeys([*RULES, *board.METHODS, *there]) if method in there]
     table = table.reindex(columns=methods, level="method" if isinstance(values, list) else None)
     table = table.reindex([name for name in NAMES if name in table.index.levels[0]], level="group")
-    required = table.columns.get_level_values("method") != CEILING
+    required = table.columns.get_level_values("method") != UPPER_BOUND
     return table[table.loc[:, required].notna().all(axis=1)]
 
 
@@ -215,69 +215,73 @@ def tables(folder: Path) -> list[ResultTable]:
     if not is_benchmark(folder):
         return []
     sets = {data: with_rules(runs) for data in DATA_SETS if len(runs := load_headline(folder, data))}
-    ceilings = {data: load_ceilings(folder, data) for data in (designs.DATA, *sets)}
+    upper_bounds = {data: load_upper_bounds(folder, data) for data in (board.DATA, *sets)}
     found = [
-        table(runs, f"{data} contacts", ceilings[data])
+        table(runs, f"{data} contacts", upper_bounds[data])
         for table in (method_table, control_table, group_table)
         for data, runs in sets.items()
     ]
-    own = ceilings[designs.DATA]
-    return [*found, ceiling_table(own)] if len(own) else found
+    own = upper_bounds[board.DATA]
+    return [*found, upper_bound_table(own)] if len(own) else found
 
 
-def usable(ceilings: pd.DataFrame) -> list[str]:
-    """Return the targets whose ceiling reaches R² ≥ 0.9 on each axis, in the mean over seeds."""
-    if ceilings.empty:
+def usable(upper_bounds: pd.DataFrame) -> list[str]:
+    """Return the targets whose upper bound reaches R² ≥ 0.9 on each axis, in the mean over seeds."""
+    if upper_bounds.empty:
         return []
-    least = ceilings[R2].groupby(level="target").mean().min(axis=1)
+    least = upper_bounds[R2].groupby(level="target").mean().min(axis=1)
     return list(least.index[least >= LEAST_R2])
 
 
-def headroom(errors: pd.DataFrame, ceiling: pd.Series) -> pd.DataFrame:
-    """Return by group and seed (rows) start − error of each method, and start − ceiling in the column `ceiling`.
+def gap_to_close(errors: pd.DataFrame, upper_bound: pd.Series) -> pd.DataFrame:
+    """Return by group and seed (rows) start − error of each method, and in the column `upper_bound` the whole gap.
 
-    `ceiling` has the errors by target and seed; groups and seeds without one are left out.
+    `upper_bound` has the errors by target and seed; groups and seeds without one are left out.
     """
     start = errors[[name for name in (PLAIN, CONSTANT) if name in errors]].min(axis=1)
     targets = [(group.partition(" → ")[2], seed) for group, seed in errors.index]
-    ceiling = ceiling.reindex(targets).set_axis(errors.index)
-    return errors.rsub(start, axis=0).assign(ceiling=start - ceiling)[ceiling.notna()]
+    upper_bound = upper_bound.reindex(targets).set_axis(errors.index)
+    return errors.rsub(start, axis=0).assign(upper_bound=start - upper_bound)[upper_bound.notna()]
 
 
-def closed(runs: pd.DataFrame, ceilings: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
-    """Return the share of the headroom that each method closes, %, its 95 % interval, and of how many groups.
+def closed(runs: pd.DataFrame, upper_bounds: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
+    """Return the share of the gap that each method closes, %, its 95 % interval, and of how many groups.
 
-    Only of groups whose target's ceiling is one.
+    Only of groups whose target's upper bound is one.
     """
     errors = counted(runs, values)
     found = pd.DataFrame({"share": math.nan, "interval": None, "groups": 0}, errors.columns)
-    good = ceilings[ceilings.index.isin(usable(ceilings), level="target")] if len(ceilings) else ceilings
-    if PLAIN not in errors or good.empty or (gains := headroom(errors, good[values])).empty:
+    good = upper_bounds
+    if len(good):
+        good = good[good.index.isin(usable(good), level="target")]
+    if PLAIN not in errors or good.empty or (gains := gap_to_close(errors, good[values])).empty:
         return found
     means, draws = by_group(gains).mean(), draws_of(gains)
     found["groups"] = len(by_group(gains))
-    if means["ceiling"] > 0:
-        found["share"] = 100 * means / means["ceiling"]
+    if means["upper_bound"] > 0:
+        found["share"] = 100 * means / means["upper_bound"]
     shares = 100 * draws / np.where(draws[:, -1:] > 0, draws[:, -1:], math.nan)
     return found.assign(interval=intervals_of(shares[:, :-1], found.index))
 
 
-def summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
-    """Return each method's share of the headroom closed, errors, R² per axis, and rank by mean, Fz and shear."""
+def summary(runs: pd.DataFrame, upper_bounds: pd.DataFrame) -> pd.DataFrame:
+    """Return each method's gap closed, errors, R² per axis, and rank by mean, Fz and shear."""
     mean_shear = runs["constant_mean_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
     runs = runs.assign(no_shear=(2 * mean_shear + runs["MAE z, N"]) / 3)
     columns = {f"{name}, N": column for name, column in VALUES.items()} | {"no shear, N": "no_shear"}
     of_groups = by_group(counted(runs, [*columns.values(), *R2]))
     # A method that lacks a group has no mean.
     means = of_groups.mean(skipna=False).unstack(level=0)
-    shares = {name: closed(runs, ceilings, column) for name, column in VALUES.items()}
+    shares = {name: closed(runs, upper_bounds, column) for name, column in VALUES.items()}
     frame = shares["mean"][["share", "interval"]].rename(columns={"share": "closed"}).rename_axis("method")
     frame["closed Fz"], frame["closed shear"] = shares["Fz"]["share"], shares["shear"]["share"]
     for name, column in columns.items():
         frame[name] = means[column]
     frame = frame.join(means[R2])
     for name, column in VALUES.items():
-        frame[f"rank {name}"] = of_groups[column].drop(columns=CEILING, errors="ignore").rank(axis=1).mean()
+        frame[f"rank {name}"] = (
+            of_groups[column].drop(columns=UPPER_BOUND, errors="ignore").rank(axis=1).mean()
+        )
     return frame.dropna(axis=1, how="all")
 
 
@@ -289,19 +293,19 @@ SUMMARY_FORMATS = (
 )
 
 
-def method_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
-    """Each method's share of the headroom, errors, R² per axis, ranks and time; in the note how stable the order is."""
-    frame, errors = summary(runs, ceilings), counted(runs)
+def method_table(runs: pd.DataFrame, shown: str, upper_bounds: pd.DataFrame) -> ResultTable:
+    """Each method's gap closed, errors, R² per axis, ranks and time; in the note how stable the order is."""
+    frame, errors = summary(runs, upper_bounds), counted(runs)
     frame["stage 2, s"] = runs.groupby("method")["stage2_s"].median()
     stage1_s = float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
     collapsed = runs.groupby("method")["problem"].count()
     frame = frame.assign(collapsed=collapsed) if collapsed.any() else frame
-    groups = closed(runs, ceilings)["groups"].max()
+    groups = closed(runs, upper_bounds)["groups"].max()
     shares = (
-        f"Closed: of the headroom, from {PLAIN}'s error, or the constant mean's where less, to that of training on the "
-        f"target itself; {groups} groups, whose targets' ceilings have R² ≥ {LEAST_R2:g} on every axis. "
+        f"Closed: of the gap, from {PLAIN}'s error, or the constant mean's where less, to that of training on the "
+        f"target itself; {groups} groups, whose targets' upper bounds have R² ≥ {LEAST_R2:g} on every axis. "
     )
-    return result_table(
+    return ResultTable.of(
         f"All methods, {shown}: mean over {len(by_group(errors))} groups",
         frame,
         f"Split by contact point; {_seeds(runs)}. {shares if groups else ''}No shear: the method's Fz beside the "
@@ -318,7 +322,7 @@ def _seeds(runs: pd.DataFrame) -> str:
     return f"{runs['seed'].nunique()} seed(s){finished if whole < pairs else ''}"
 
 
-def control_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
+def control_table(runs: pd.DataFrame, shown: str, upper_bounds: pd.DataFrame) -> ResultTable:
     """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
     errors, controls = counted(runs), runs.groupby("method")["control"].first()
     methods = [method for method in errors if controls.get(method) in errors]
@@ -328,7 +332,7 @@ def control_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> Res
     kept = [means[pairs != pair] for pair in pairs.unique()] if pairs.nunique() > 1 else []
     without = pd.DataFrame([others.mean(skipna=False) for others in kept], columns=methods)
     p = pd.Series(map(p_value, draws), methods, dtype=float)
-    return result_table(
+    return ResultTable.of(
         f"Methods beside their own controls, {shown}",
         pd.DataFrame(
             {
@@ -347,16 +351,16 @@ def control_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> Res
     )
 
 
-def group_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
-    """The main methods group by group, beside rules and the ceiling."""
+def group_table(runs: pd.DataFrame, shown: str, upper_bounds: pd.DataFrame) -> ResultTable:
+    """The main methods group by group, beside rules and the upper bound."""
     errors = counted(runs)
     errors = errors[[method for method in errors if method in (*RULES, *board.MAIN_METHODS)]]
     frame = errors.groupby(level="group", sort=False).agg(mean_and_deviation).astype(object)
     frame.loc["mean"] = by_group(errors).mean(skipna=False)
-    if len(ceilings):
-        own = ceilings["error_n"].groupby(level="target").mean()
-        frame["ceiling"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
-    return result_table(
+    if len(upper_bounds):
+        own = upper_bounds["error_n"].groupby(level="target").mean()
+        frame["upper bound"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
+    return ResultTable.of(
         f"Group by group, {shown}: mean MAE on the target's test frames, N",
         frame,
         f"± standard deviation over {_seeds(runs)}.",
@@ -364,16 +368,16 @@ def group_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> Resul
     )
 
 
-def ceiling_table(ceilings: pd.DataFrame) -> ResultTable:
-    """What training on the target itself reaches, and whether that is a ceiling."""
+def upper_bound_table(upper_bounds: pd.DataFrame) -> ResultTable:
+    """What training on the target itself reaches, and whether that is an upper bound."""
     columns = ["error_n", *[f"MAE {axis}, N" for axis in AXES], *R2]
-    frame = ceilings[columns].groupby(level="target").mean().rename(columns={"error_n": "mean MAE, N"})
-    frame["used"] = ["yes" if target in usable(ceilings) else "NO" for target in frame.index]
-    return result_table(
-        "The ceiling: trained on the target's own labels",
+    frame = upper_bounds[columns].groupby(level="target").mean().rename(columns={"error_n": "mean MAE, N"})
+    frame["used"] = ["yes" if target in usable(upper_bounds) else "NO" for target in frame.index]
+    return ResultTable.of(
+        "The upper bound: trained on the target's own labels",
         frame,
-        f"{ceilings.index.get_level_values('seed').nunique()} seed(s); on the target's test points, which training "
-        f"does not show. A target whose R² is below {LEAST_R2:g} on an axis is left out of the headroom.",
+        f"{upper_bounds.index.get_level_values('seed').nunique()} seed(s); on the target's test points, which training "
+        f"does not show. A target whose R² is below {LEAST_R2:g} on an axis is left out of the gap closed.",
         FORMATS,
     )
 

@@ -1,4 +1,4 @@
-"""What inputs and drawn lights are worth: methods on every input, and networks trained in drawn lights instead."""
+"""What inputs and random lights are worth: methods on every input, and networks trained in random lights instead."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,25 +7,25 @@ import pandas as pd
 
 from gelgap.adapt import ResultTable
 from gelgap.adapt.inputs import INPUTS
-from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN
 from gelgap.benchmarks.adaptation.groups import (
     R2,
     SEEDS,
     SUMMARY_FORMATS,
-    ceilings_of,
     control_table,
     counted,
     draws_of,
     halves,
     intervals_of,
-    load_ceilings,
     load_headline,
+    load_upper_bounds,
     summary,
+    upper_bounds_of,
     with_rules,
 )
 from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs
-from gelgap.benchmarks.common import Setting, result_table
+from gelgap.benchmarks.common import Setting
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
 INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
@@ -48,21 +48,14 @@ def input_grid(
 
     A pretrained backbone needs a file and is left out.
     """
-    cases = {
-        name: [
-            (designs.DATA, group)
-            for group in groups
-            if not (shown.shows_displacement and any("wm" in domain for domain in group))
-        ]
-        for name, shown in INPUTS.items()
-        if not shown.frozen and (name in inputs or not inputs)
-    }
-    return [
-        run
-        for seed in seeds
-        for name, own in cases.items()
-        for run in grid(own, methods, [seed], changes_of(name))
-    ]
+    with_markers = [group for group in groups if not any("wm" in domain for domain in group)]
+    runs: list[Setting] = []
+    for seed in seeds:
+        for name, shown in INPUTS.items():
+            if not shown.frozen and (name in inputs or not inputs):
+                own = with_markers if shown.shows_displacement else groups
+                runs += grid([(board.DATA, group) for group in own], methods, [seed], changes_of(name))
+    return runs
 
 
 def measure_inputs(study: Study) -> None:
@@ -77,7 +70,7 @@ def measure_inputs(study: Study) -> None:
     runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
     if not runs:
         raise ValueError(
-            f"--inputs {' '.join(study.inputs)}: no chosen group has dots on both sides, as in mb0i0:mb0i1"
+            f"--inputs {' '.join(study.inputs)}: no chosen group has markers on both sides, as in mb0i0:mb0i1"
         )
     _measure(study, runs, INPUT_RUNS)
 
@@ -85,35 +78,35 @@ def measure_inputs(study: Study) -> None:
 def lit_groups(groups: Sequence[board.Group]) -> list[board.Group]:
     """Return for every target without markers the group whose source is in lights like its."""
     targets = dict.fromkeys(target for _, target in groups if target.startswith("wm"))
-    return [(designs.LIKE + target, target) for target in targets]
+    return [(board.LIKE + target, target) for target in targets]
 
 
 def measure_lights(study: Study) -> None:
-    """Do the missing runs of sources in drawn lights, for every target without markers, its labels shifted or not."""
+    """Do the missing runs of sources in random lights, for every target without markers, its labels shifted or not."""
     like = lit_groups(study.groups or GROUPS)
-    sources = [*((designs.ANY_LIGHT, target) for _, target in like), *like]
+    sources = [*((board.ANY_LIGHT, target) for _, target in like), *like]
     cases = [(data, group) for data in board.BY_ROLE for group in sources]
     runs = grid(cases, study.known_methods() or LIGHT_METHODS, study.seeds or SEEDS)
     _measure(study, runs, LIGHT_RUNS)
 
 
 def _measure(study: Study, runs: list[Setting], file: str) -> None:
-    ceilings = ceilings_of(runs)
-    study.generate_for([*ceilings, *runs])
+    upper_bounds = upper_bounds_of(runs)
+    study.generate_for([*upper_bounds, *runs])
     study.run(adapt_run, runs, file)
-    study.run(adapt_run, ceilings, RUNS)
+    study.run(adapt_run, upper_bounds, RUNS)
 
 
 def input_tables(folder: Path) -> list[ResultTable]:
     """Return what each method closes on each input, by kind of gap; where controls were run, what its loss brings."""
-    runs, ceilings, tables = load_runs(folder / INPUT_RUNS), load_ceilings(folder), []
+    runs, upper_bounds, tables = load_runs(folder / INPUT_RUNS), load_upper_bounds(folder), []
     light = runs["group"].isin([" → ".join(group) for group in board.LIGHT_GROUPS])
     for kind, own in (("only the light", runs[light]), ("other gaps", runs[~light])):
         if len(own):
             shown = _by_input(own)
-            tables.append(_worth(f"What inputs are worth: {kind}", shown, own, ceilings))
+            tables.append(_worth(f"What inputs are worth: {kind}", shown, own, upper_bounds))
             tables += [
-                control_table(with_input, f"{name}, {kind}", ceilings)
+                control_table(with_input, f"{name}, {kind}", upper_bounds)
                 for name, with_input in shown.items()
                 if "no-transfer" in set(with_input["method"])
             ]
@@ -121,7 +114,7 @@ def input_tables(folder: Path) -> list[ResultTable]:
 
 
 def light_tables(folder: Path) -> list[ResultTable]:
-    """Return what training in drawn lights closes, beside adaptation from one light to the same targets."""
+    """Return what training in random lights closes, beside adaptation from one light to the same targets."""
     from gelgap.domains.drawn_lights import CANDIDATES, LIGHTS
 
     note = (
@@ -136,10 +129,10 @@ def light_tables(folder: Path) -> list[ResultTable]:
         drawn = lit.assign(group=lit["target"].map(group_of))[lit["data"] == data].dropna(subset="group")
         adapted = adapted[adapted["group"].isin(drawn["group"])]
         if len(drawn):
-            anyone = drawn["source"] == designs.ANY_LIGHT
+            anyone = drawn["source"] == board.ANY_LIGHT
             shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
             title = f"Adapt or randomise? {data} contacts"
-            tables.append(_worth(title, shown, adapted, load_ceilings(folder, data), note))
+            tables.append(_worth(title, shown, adapted, load_upper_bounds(folder, data), note))
     return tables
 
 
@@ -148,7 +141,7 @@ def _by_input(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _worth(
-    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, ceilings: pd.DataFrame, note: str = ""
+    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, upper_bounds: pd.DataFrame, note: str = ""
 ) -> ResultTable:
     """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`."""
     plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
@@ -157,15 +150,15 @@ def _worth(
         if len(own):
             start = plain[plain["group"].isin(own["group"])]
             if not found:
-                found.append(_summary(start, ceilings).drop(own["method"].unique(), errors="ignore"))
+                found.append(_summary(start, upper_bounds).drop(own["method"].unique(), errors="ignore"))
             renamed = own.assign(method=own["method"] + f" / {name}")
             if order := halves(counted(own)):
                 orders.append(f"On {name}: {order}")
-            rows = _summary(pd.concat([start, renamed]), ceilings)
+            rows = _summary(pd.concat([start, renamed]), upper_bounds)
             found.append(rows[rows.index.isin(renamed["method"])])
     frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
     groups = ", ".join(sorted(runs["group"].unique()))
-    return result_table(
+    return ResultTable.of(
         title,
         frame,
         f"{groups}; split by contact point. 95 %: bootstrap over pairs of sensors and seeds. Runs: pairs of group and "
@@ -174,10 +167,10 @@ def _worth(
     )
 
 
-def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
+def _summary(runs: pd.DataFrame, upper_bounds: pd.DataFrame) -> pd.DataFrame:
     """Return `groups.summary` with a bootstrap interval of the mean error, over pairs of sensors and seeds."""
     errors = counted(runs)
-    frame = summary(runs, ceilings)
+    frame = summary(runs, upper_bounds)
     frame["95 %, N"], frame["runs"] = intervals_of(draws_of(errors), errors.columns), len(errors)
     return frame
 

@@ -19,14 +19,14 @@ from gelgap.adapt import ResultTable, evaluate_predictions
 from gelgap.adapt.evaluation import evaluate_baselines, evaluate_constant_mean
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.whole_file import write_whole
-from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import PLAIN
 from gelgap.benchmarks.adaptation.groups import RULES, SUMMARY_FORMATS, summary, with_rules
 from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Study, grid, with_errors
-from gelgap.benchmarks.common import read_records, result_table
+from gelgap.benchmarks.common import read_records
 
 OWN = "trained-on-target"
-"""The name of the ceilings among the methods."""
+"""The name of the upper bounds among the methods."""
 _BAD_INPUT = 2
 _PLACE = ["source", "target", "seed"]
 _SETTING = "settings."
@@ -53,7 +53,7 @@ def write_record(study: Study, folder: Path, who: str) -> None:
 
 
 def headline_runs(file: Path) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield the compared runs of a record: data set, method and runs, those of the ceilings as method `OWN`."""
+    """Yield the compared runs of a record: data set, method and runs, those of the upper bounds as method `OWN`."""
     runs = read_records(file)
     if not {*_PLACE, "method", "data", "changes"} <= set(runs):
         return
@@ -145,46 +145,46 @@ def ranked(folder: Path, study: Study) -> tuple[list[ResultTable], dict[str, str
                 own, found[data, method] = other, own
             if own is not None:
                 refused[own["name"].iloc[0]] = "another record of it has more runs, or was read first"
-    ceilings = found.pop((designs.DATA, OWN), pd.DataFrame())
-    own = ceilings.set_index(["target", "seed"]).sort_index() if len(ceilings) else ceilings
+    upper_bounds = found.pop((board.DATA, OWN), pd.DataFrame())
+    own = upper_bounds.set_index(["target", "seed"]).sort_index() if len(upper_bounds) else upper_bounds
     tables = []
     for data in board.BY_ROLE:
-        ceiling = own if data == designs.DATA else own.iloc[:0]  # frames of shifted labels are others
+        upper_bound = own if data == board.DATA else own.iloc[:0]  # frames of shifted labels are others
         plain = found.get((data, PLAIN))
-        if plain is not None and _problem(plain, plain, ceiling):
+        if plain is not None and _problem(plain, plain, upper_bound):
             plain = None
         kept = []
         for runs in (runs for (of, _), runs in found.items() if of == data):
-            if problem := _problem(runs, plain, ceiling):
+            if problem := _problem(runs, plain, upper_bound):
                 refused[runs["name"].iloc[0]] = problem
             else:
                 kept.append(runs)
         if kept:
-            tables.append(leaderboard_table(pd.concat(kept), data, ceiling))
+            tables.append(leaderboard_table(pd.concat(kept), data, upper_bound))
     return tables, refused
 
 
-def _problem(runs: pd.DataFrame, plain: pd.DataFrame | None, ceilings: pd.DataFrame) -> str | None:
+def _problem(runs: pd.DataFrame, plain: pd.DataFrame | None, upper_bounds: pd.DataFrame) -> str | None:
     """Return why runs cannot stand beside source-only's, if they cannot."""
     if plain is None:
         return f"there is no record of {PLAIN} that holds, to compare with"
     places, wanted = (set(map(tuple, one[_PLACE].to_numpy())) for one in (runs, plain))
     if places != wanted:
         return f"{len(wanted - places)} runs of the board are missing, {len(places - wanted)} are none of it"
-    if ceilings.empty:
+    if upper_bounds.empty:
         return None
-    least = ceilings["error_n"].reindex(list(zip(runs["target"], runs["seed"], strict=True))).mean()
+    least = upper_bounds["error_n"].reindex(list(zip(runs["target"], runs["seed"], strict=True))).mean()
     if runs["error_n"].mean() < least:
         return (
-            f"its error of {runs['error_n'].mean():.4f} N is below {least:.4f} N, the ceiling's: what training on the "
-            "target's own labels gives"
+            f"its error of {runs['error_n'].mean():.4f} N is below {least:.4f} N, the upper bound's: what training on "
+            "the target's own labels gives"
         )
     return None
 
 
-def leaderboard_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
-    """All methods of a data set by their share of the headroom, or without ceilings by their mean error."""
-    frame = summary(with_rules(runs), ceilings)
+def leaderboard_table(runs: pd.DataFrame, data: str, upper_bounds: pd.DataFrame) -> ResultTable:
+    """All methods of a data set by the gap closed, or without upper bounds by their mean error."""
+    frame = summary(with_rules(runs), upper_bounds)
     by = "closed" if "closed" in frame else "mean, N"
     frame = frame.sort_values(by, kind="stable", ascending=by == "mean, N")
     of_method = runs.groupby("method")
@@ -196,7 +196,7 @@ def leaderboard_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> 
     frame["same frames"] = of_method["same_frames"].all()
     named = {method: f"**{method}**" for method in frame.index if method not in (*board.METHODS, *RULES)}
     groups, seeds = runs[["source", "target"]].drop_duplicates(), runs["seed"].nunique()
-    return result_table(
+    return ResultTable.of(
         f"{data.capitalize()} contacts",
         frame.rename(index=named),
         f"{len(groups)} groups, {seeds} seed(s), split by contact point. Errors are computed from each record's "

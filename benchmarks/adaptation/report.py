@@ -33,7 +33,7 @@ def run_inputs(quick: bool, out_dir: Path) -> None:
 
 
 def run_lights(quick: bool, out_dir: Path) -> None:
-    """Compare training in drawn lights with adaptation; there is no quick form."""
+    """Compare training in random lights with adaptation; there is no quick form."""
     measure("lights", Study.at(out_dir / "adaptation" / BOARD))
 
 

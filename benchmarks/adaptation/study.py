@@ -19,7 +19,7 @@ import pandas as pd
 from gelgap.adapt import ResultTable
 from gelgap.assets.checksums import canonical_json
 from gelgap.assets.locks import key_lock
-from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 
 if TYPE_CHECKING:
@@ -113,17 +113,17 @@ class Study:
             self.generate(board.tuning_recipes(data), data)
         by_role = [run for run in runs if run["data"] in board.BY_ROLE]
         as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
-        drawn = [name for name in as_source if name.startswith(designs.DRAWN)]
-        recipes = designs.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
-        self.generate(recipes, f"{designs.DATA}-target")
+        drawn = [name for name in as_source if name.startswith(board.RANDOM_LIGHTS)]
+        recipes = board.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
+        self.generate(recipes, f"{board.DATA}-target")
         self.generate(
-            designs.role_recipes([name for name in as_source if name not in drawn], "source"),
-            f"{designs.DATA}-source",
+            board.role_recipes([name for name in as_source if name not in drawn], "source"),
+            f"{board.DATA}-source",
         )
         for name in drawn:
-            target = name.removeprefix(designs.LIKE) if name.startswith(designs.LIKE) else None
-            pictured = target and _domain((self.data / f"{designs.DATA}-target" / target).resolve())
-            self.generate(designs.random_light_recipes(pictured), f"{designs.DATA}-source")
+            target = name.removeprefix(board.LIKE) if name.startswith(board.LIKE) else None
+            pictured = target and _domain((self.data / f"{board.DATA}-target" / target).resolve())
+            self.generate(board.random_light_recipes(pictured), f"{board.DATA}-source")
 
     def run(
         self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
@@ -159,12 +159,12 @@ class Study:
         return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
 
     def domains_of(self, run: Setting) -> "list[GeneratedDomain]":
-        """Return the source of a run, or its several domains in drawn light, and last the target."""
+        """Return the source of a run, or its several domains in random light, and last the target."""
         folder, source, target = (self.data / run["data"]).resolve(), run["source"], run["target"]
         if run["data"] not in board.BY_ROLE:
             return [_domain(folder / name) for name in (source, target)]
-        as_source, as_target = (folder.with_name(f"{designs.DATA}-{role}") for role in designs.ROLES)
-        if source == target:  # for the ceiling it is trained on its own contact points
+        as_source, as_target = (folder.with_name(f"{board.DATA}-{role}") for role in board.ROLES)
+        if source == target:  # for the upper bound it is trained on its own contact points
             return [_domain(as_target / target)] * 2
         own = [as_source / source]
         if not own[0].is_dir():
@@ -178,7 +178,7 @@ class Study:
 
         *sources, target = self.domains_of(run)
         if run["data"] == board.LABEL_SHIFT:
-            target = designs.with_shifted_labels(target)
+            target = board.with_shifted_labels(target)
         source = sources[0] if len(sources) == 1 else join_domains(sources)
         return split_for_training(source, target, self.profile_of(run), run["seed"])
 
@@ -239,12 +239,12 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     """
     from gelgap.adapt import find_method
     from gelgap.adapt.methods.registry import method_code
-    from gelgap.adapt.runs import run_method
+    from gelgap.adapt.runs import Group
 
     frames = study.frames_of(run)
     stage1 = study.stage1(run, frames.source_train)
     stage1_s = train_once(stage1, run["method"])
-    done, model = run_method(frames, stage1, run["method"])
+    done, model = Group(frames, stage1).run(run["method"])
     results = {
         "versions": versions_line(),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
@@ -291,7 +291,7 @@ def versions_line() -> str:
 
 
 def control_of(method: str) -> str | None:
-    """Return the method that a method must beat for its loss to be of use; None for source-only and the ceiling.
+    """Return the method that a method must beat for its loss to be of use; None for source-only and the upper bound.
 
     Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
     2 without a loss.

@@ -15,7 +15,7 @@ import pandas as pd
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, short, trained, with_errors
-from gelgap.benchmarks.common import Results, Setting, result_table
+from gelgap.benchmarks.common import Results, Setting
 
 SELECTOR = "reverse validation"
 """Fixed by argument: of the six it alone goes by the target's predictions back to known forces, so that features which
@@ -144,7 +144,7 @@ def tables(folder: Path) -> list[ResultTable]:
         }
     if not rows:
         return []
-    table = result_table(
+    table = ResultTable.of(
         "What was chosen for each method, on the tuning groups",
         pd.DataFrame.from_dict(rows, orient="index").rename_axis("method"),
         "Mean ranks are over groups and designs by reverse validation, which sees no target label. Regret: test error "

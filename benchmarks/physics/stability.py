@@ -148,8 +148,13 @@ def judge_apart(setting: Setting) -> Results:
         failure, spent_s = f"no end within {limit_s} s of processor time", limit_s
     elif done.returncode == 1:
         failure = done.stderr.strip().splitlines()[-1]
-    failed = {"status": "failed", "violations": [], "core_s": spent_s, "detail": failure}
-    return {"regime": numbered_case(number, quality).study, **failed}
+    return {
+        "regime": numbered_case(number, quality).study,
+        "status": "failed",
+        "violations": [],
+        "core_s": spent_s,
+        "detail": failure,
+    }
 
 
 def run(quick: bool, out_dir: Path) -> None:

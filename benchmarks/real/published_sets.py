@@ -4,7 +4,7 @@ GelSight-lab/EstimateModulus: videos of a GelSight Wedge and the force of the gr
 `example_data/<session>/<clip>.avi` with `<clip>_forces.pkl`, one number a picture in N, positive in compression, and
 `wedge_config/config_100.csv`, the corners of the pad in the pictures.
 
-yanglh14/gelsight: a ball on a gel with dots, its centre marked by hand. A clone holds `data/calibration{,2,3}/*.jpg`
+yanglh14/gelsight: a ball on a gel with markers, its centre marked by hand. A clone holds `data/calibration{,2,3}/*.jpg`
 with `ball_position/*.txt`: x, y and a radius in pixels of the rectified picture. The radii are limited to the ball's
 own and are not used.
 """
@@ -106,9 +106,9 @@ def _pad_corners(clone: Path) -> Corners:
         )
     columns = dict(read_table(table))
     try:
-        found = dict(zip(columns["Name"], zip(columns["x"], columns["y"], strict=True), strict=True))
-        return tuple((float(x), float(y)) for x, y in (found[name] for name in _CORNER_NAMES))
-    except (KeyError, TypeError, ValueError):
+        rows = [columns["Name"].index(name) for name in _CORNER_NAMES]
+        return tuple((float(columns["x"][row]), float(columns["y"][row])) for row in rows)
+    except (KeyError, IndexError, ValueError):
         raise ValueError(
             f"{table} must have a row with Name, x, y for each of {', '.join(_CORNER_NAMES)}"
         ) from None

@@ -85,7 +85,7 @@ def read_digit(folder: Path) -> PressSet:
 
 
 def read_gelslim(folder: Path) -> PressSet:
-    """Read siyuandong16/gelsight_heightmap_reconstruction, a GelSlim with dots; ball and scale as its code says."""
+    """Read siyuandong16/gelsight_heightmap_reconstruction, a GelSlim with markers; ball and scale as its code says."""
     pictures = [folder / f"sample_{number}.jpg" for number in GELSLIM_MARKS]
     marks = np.array(list(GELSLIM_MARKS.values()), float)
     return marked_set(folder / "ref.jpg", pictures, marks, ball_mm=7.6, mm_per_px=0.10577)
@@ -123,9 +123,17 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
             continue
         seconds = time.process_time() - started
         for model, kind in MODELS.items():
-            inside, ring = zip(*(getattr(press, kind) for press in fit.held_out), strict=True)
-            levels = {"inside": inside, "ring": ring}
-            rows.append({"set": name, "presses": len(inside), "model": model, **levels, "fit, s": seconds})
+            levels = [getattr(press, kind) for press in fit.held_out]
+            rows.append(
+                {
+                    "set": name,
+                    "presses": len(levels),
+                    "model": model,
+                    "inside": tuple(inside for inside, _ in levels),
+                    "ring": tuple(ring for _, ring in levels),
+                    "fit, s": seconds,
+                }
+            )
     if not rows and not refused:
         raise ValueError(f"--data {data} holds no set of presses; {', '.join(READERS)} mark one")
     records = pd.DataFrame(rows, columns=["set", "presses", "model", "inside", "ring", "fit, s"])

@@ -15,13 +15,13 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.board import CEILING, METHODS, Changes, Group
+from gelgap.benchmarks.adaptation.board import METHODS, UPPER_BOUND, Changes, Group
 from gelgap.benchmarks.adaptation.study import Study, control_of, grid, train_once, versions_line
-from gelgap.benchmarks.common import Results, Setting, bootstrap, result_table, write_json
+from gelgap.benchmarks.common import Results, Setting, bootstrap, write_json
 from gelgap.benchmarks.real.published_sets import converted_wedge
 from gelgap.domains import LabelledFrames, Labels, open_domain, with_labels
 from gelgap.domains.formats.convert import CONTACT_N
-from gelgap.domains.frames.dataset import force_classes
+from gelgap.domains.frames.run_labels import force_classes
 
 SESSIONS = ("2023-12-06", "2023-12-16")
 """The two sessions with objects in common."""
@@ -115,8 +115,8 @@ def clip_folds(source: Session, target: Session, seed: int) -> Iterator[Fold]:
         yield Fold(source[~left_out], target[~tested], target[tested])
 
 
-class SessionStudy(Study):
-    """Runs on real sessions; the data are the folder of all converted ones."""
+class FoldStudy(Study):
+    """Runs from one session to the other: the data are the folder of all converted sessions, a run's a fold of them."""
 
     @classmethod
     def of(cls, quick: bool, out_dir: Path, data: Path) -> Self:
@@ -130,10 +130,6 @@ class SessionStudy(Study):
         """Return why a run stopped, or else its mean error over the tested clips."""
         return record["problem"] or f"{np.mean(list(record['clip_mae_n'].values())):.3f} N"
 
-
-class FoldStudy(SessionStudy):
-    """Runs from one session to the other; a fold is the data of a run."""
-
     def fold_of(self, run: Setting) -> Fold:
         """Return which pictures a run trains on and is tested on."""
         sessions = read_sessions(self.data)
@@ -143,7 +139,7 @@ class FoldStudy(SessionStudy):
     def frames_of(self, run: Setting) -> Fold:
         """Return the frames of a run, with Fz as their only label, and contact classes of the source's.
 
-        The target's training labels are for the ceiling alone.
+        The target's training labels are for the upper bound alone.
         """
         source, *target = (frames_of_session(self.data, own) for own in self.fold_of(run))
         return Fold(force_classes(source, CLASSES), *target)
@@ -281,7 +277,7 @@ def direction_table(records: pd.DataFrame, note: str) -> ResultTable:
     """Each method's error on the way from one session to the other, and what it brings against its own control."""
     controls = dict(zip(records["method"], records["control"], strict=True))
     way, clips = records.iloc[0], len(clip_table(records))
-    return result_table(
+    return ResultTable.of(
         f"Real grasps, {way['source']} → {way['target']}: MAE of Fz on held-out target clips",
         pd.DataFrame(error_rows(records, "method", controls)),
         f"{clips} clips, {records['data'].nunique()} fold(s) by clip, {records['seed'].nunique()} seed(s), all "
@@ -307,7 +303,7 @@ def networks(quick: bool, out_dir: Path, data: Path) -> None:
     records = study.run(adapt_fold, fold_runs(directions, methods, seeds, folds, changes), RUNS)
     beside = rule_records(fold_runs(directions, RULES, seeds, folds), study.fold_of)
     stopped = f"{records['problem'].notna().sum()} of {len(records)} runs stopped and count with the constant's error."
-    note = f"{CEILING} has the labels of both. {NOTE} {stopped}"
+    note = f"{UPPER_BOUND} has the labels of both. {NOTE} {stopped}"
     _show(pd.concat([beside, records]), note, out_dir / "real-networks.json")
 
 

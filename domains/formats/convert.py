@@ -301,10 +301,9 @@ class Clip:
         signal = self._pressed_signal()
         pressed_n = [_pressing_n(self.labels_at(lag)) for lag in self.lags]
         is_rising = np.gradient(np.convolve(np.pad(signal, 2, "edge"), np.ones(5) / 5, "valid")) > 0
-        correlations, rising, falling = (
-            np.array([_correlation(signal[part], own[part]) for own in pressed_n])
-            for part in (slice(None), is_rising, ~is_rising)
-        )
+        correlations = np.array([_correlation(signal, own) for own in pressed_n])
+        rising = np.array([_correlation(signal[is_rising], own[is_rising]) for own in pressed_n])
+        falling = np.array([_correlation(signal[~is_rising], own[~is_rising]) for own in pressed_n])
         if np.isnan(correlations).all():
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "

@@ -1,8 +1,8 @@
-"""Labelled frames of one domain: in memory, some of them, with other labels, or several data sets as one."""
+"""Labelled frames of one domain: in memory, some of them, or with other labels."""
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -14,13 +14,9 @@ from gelgap.domains.formats.pictures import encode_png, resized, without_markers
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_FORCE_RANGE_N,
-    PAPER_RANGES,
-    QUANTITIES,
     Labels,
     Range,
-    check_names,
     covering,
-    hull,
     known_labels,
     usual_labels,
 )
@@ -111,7 +107,7 @@ class LabelledFrames(ABC):
     def images(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`).
 
-        Without `markers`, their dots are found and inpainted at the stored size.
+        Without `markers`, these are found and inpainted at the stored size.
         """
         return self.load(self.image_size_px(size_px), markers)
 
@@ -267,7 +263,7 @@ class LabelledFrames(ABC):
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         """Return all reference pictures (r, h, w, 3) uint8 as `images` returns pictures; r is 1 unless frames differ.
 
-        Without `markers`, their dots are inpainted.
+        Without `markers`, these are inpainted.
         """
         size_px = self.image_size_px(size_px)
         if (size_px, markers) not in self._reduced_references:
@@ -290,7 +286,7 @@ class LabelledFrames(ABC):
     ) -> "PairedFrames":
         """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference.
 
-        Without `markers`, pictures and reference have their dots inpainted.
+        Without `markers`, these are inpainted in pictures and reference.
         """
         from gelgap.domains.frames.paired_frames import PairedFrames
 
@@ -434,167 +430,3 @@ def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
 def labelled_frames(frames: LabelledFrames) -> LabelledFrames:
     """Return the frames that have all labels; the frames themselves where all have."""
     return frames if frames.is_labelled.all() else frames.take(np.flatnonzero(frames.is_labelled))
-
-
-def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
-    """Return training frames with `count` contact classes of equal size, by Fz, or by the first label without it.
-
-    They are numbered from the lowest value. Frames of equal value are of one class, so fewer classes may be filled.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two classes or more classes than frames.
-    """
-    if not 2 <= count <= len(train):
-        raise ValueError(
-            f"classes from force = {count}: must lie in [2, {len(train)}], the number of training frames"
-        )
-    names = train.labels.names
-    values = train.label_values[:, names.index("fz_n") if "fz_n" in names else 0]
-    inner = np.quantile(values, np.arange(1, count) / count)
-    classes = np.searchsorted(inner, values, side="right")
-    change = repr((train.labels, count)).encode() + train.label_values.tobytes() + classes.tobytes()
-    return DerivedFrames(train, train.columns | {"contact_class": classes}, change, n_classes=count)
-
-
-def labels_of_run(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    names: Sequence[str] | None = None,
-    ranges: Mapping[str, Range] | None = None,
-) -> tuple[Labels, tuple[str, ...]]:
-    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
-
-    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
-    declares); one without that label declares nothing. Where the source does not declare it, it is widened to cover
-    the source's training labels. The target's labels never move it; that some lie beyond it is only said.
-
-    Parameters
-    ----------
-    source, target
-        The source's training frames, and frames of the target.
-    names
-        By default the axes of the force that both domains have, or without any all labels that both have.
-    ranges
-        Given ranges by label, in its unit.
-
-    Raises
-    ------
-    ValueError
-        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
-    """
-    if names is None:
-        names = usual_labels(set(source.known_labels) & set(target.known_labels))
-        if not names:
-            has = (f"{f.name} has {', '.join(f.known_labels) or 'none'}" for f in (source, target))
-            raise ValueError(f"source and target share no label: {'; '.join(has)}")
-    check_names(names)
-    for frames in (source, target):
-        frames.values_of(names)
-    ranges = dict(ranges or {})
-    if stray := [name for name in ranges if name not in names]:
-        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
-    found, notes = {}, []
-    for name in names:
-        having = [frames for frames in (source, target) if name in frames.known_labels]
-        declared = hull(frames.declared_range(name) for frames in having) or PAPER_RANGES.get(name)
-        found[name] = ranges.get(name) or declared
-        if name not in ranges and (declared is None or not source.declares_ranges):
-            found[name] = covering(source.columns[name], declared)
-            if declared is not None and found[name] != declared:
-                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
-                notes.append(
-                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
-                    f"{low:g} to {high:g} by source {source.name}"
-                )
-    labels = Labels.of(found)
-    for frames in (source, target):
-        if count := int(outside(frames, labels).sum()):
-            notes.append(
-                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
-                "prediction reaches: give a wider one"
-            )
-    return labels, tuple(notes)
-
-
-def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:
-    """Return the frames of several data sets, one after the other, as one; a single one is returned as it is.
-
-    It has the columns that all of them have, and each frame keeps its own reference. Groups of the same name in two
-    data sets are one group.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or they share no label.
-    """
-    if not domains:
-        raise ValueError("no data set was named; name one or several folders")
-    return domains[0] if len(domains) == 1 else JoinedFrames(domains)
-
-
-class JoinedFrames(LabelledFrames):
-    """The frames of several data sets in order; its name is theirs with + between them, of many the first's."""
-
-    def __init__(self, domains: Sequence[LabelledFrames]):
-        self.members = tuple(domains)
-        names = [frames.name for frames in domains]
-        # Names of folders have at most 255 letters.
-        self.name = "+".join(names if len(names) <= 3 else [names[0], f"{len(names) - 1}-more"])
-        shared = [name for name in domains[0].columns if all(name in frames.columns for frames in domains)]
-        if not known_labels(shared):
-            raise ValueError(f"data sets {', '.join(names)} share no label")
-        self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
-        self.columns["reference_id"] = _counted_on(
-            [frames.reference_id for frames in domains],
-            [len(frames.rest_pictures) for frames in domains],
-        )
-        # What was left out keeps its number: a split at random counts it.
-        self.columns["frame_id"] = _counted_on(
-            [f.columns["frame_id"] if f.unconverged else np.arange(len(f)) for f in domains],
-            [len(frames) + frames.unconverged for frames in domains],
-        )
-        low, high = np.stack([np.asarray(frames.force_range_n, float) for frames in domains]).T
-        self.force_range_n = np.stack([low.min(axis=1), high.max(axis=1)], axis=1)
-        self.declares_ranges = all(frames.declares_ranges for frames in domains)
-        self.n_classes = max(frames.n_classes for frames in domains)
-        self.unconverged = sum(frames.unconverged for frames in domains)
-        self.rest_pictures = [read for frames in domains for read in frames.rest_pictures]
-        self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
-
-    def declared_range(self, name: str) -> Range | None:
-        return hull(frames.declared_range(name) for frames in self.members)
-
-    @cached_property
-    def digest(self) -> str:
-        found = [(frames.name, frames.digest, len(frames)) for frames in self.members]
-        return sha256(repr(found).encode())
-
-    def picture(self, index: int) -> np.ndarray:
-        index = range(len(self))[index]
-        for frames in self.members:
-            if index < len(frames):
-                break
-            index -= len(frames)
-        return frames.picture(index)
-
-    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
-        return np.concatenate([frames.load(size_px, markers) for frames in self.members])
-
-
-def _counted_on(numbers: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:
-    """Return numbers of several data sets, each from where those before it end."""
-    starts = np.cumsum([0, *counts[:-1]])
-    return np.concatenate([start + own for start, own in zip(starts, numbers, strict=True)])
-
-
-def outside(frames: LabelledFrames, labels: Labels) -> np.ndarray:
-    """Return which frames (n,) have a label outside its range; none that lacks it."""
-    values = frames.values_of(labels.names)
-    return np.any((values < labels.low) | (values > labels.high), axis=1)
-
-
-def within_range(frames: LabelledFrames) -> LabelledFrames:
-    """Return the frames that have all labels, and these within their ranges."""
-    return frames.take(np.flatnonzero(frames.is_labelled & ~outside(frames, frames.labels)))

@@ -16,7 +16,8 @@ from gelgap.assets.checksums import sha256
 from gelgap.assets.image_file import SUFFIXES
 from gelgap.assets.names import stays_inside
 from gelgap.domains.formats.domain_folder import MANIFEST
-from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames, join_domains
+from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames
+from gelgap.domains.frames.joined import join_domains
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_RANGES,
@@ -51,11 +52,14 @@ def open_domain(folder: Path | str) -> StoredFrames:
         If a table is not as it should be, or there are several.
     """
     folder = Path(folder)
-    if problem := layout_problem(folder):
-        raise FileNotFoundError(f"{folder} {problem}")
     if (folder / MANIFEST).exists():
         return GeneratedDomain(folder)
-    return _published(folder) if _is_published(folder) else _picture_folder(folder)
+    if _is_published(folder):
+        return _published(folder)
+    files = _files(folder)
+    if problem := _layout_problem(folder, files):
+        raise FileNotFoundError(f"{folder} {problem}")
+    return _picture_folder(folder, files)
 
 
 def open_domains(folders: Path | str | Sequence[Path | str]) -> LabelledFrames:
@@ -79,10 +83,10 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
     return tuple(inside) or (Path(folder),)
 
 
-def layout_problem(folder: Path) -> str | None:
-    """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
-    tables = tables_in(folder)
-    if (folder / MANIFEST).exists() or _is_published(folder) or len(tables) == 1:
+def _layout_problem(folder: Path, files: list[Path]) -> str | None:
+    """Return why a folder has not one table, or pictures alone, and what was looked for; None if it has."""
+    tables = _tables(folder, files)
+    if len(tables) == 1:
         return None
     if tables:
         return (
@@ -90,7 +94,7 @@ def layout_problem(folder: Path) -> str | None:
             "with a row per picture"
         )
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
-    if not inside and any(not _is_reference(path) for path in _pictures(folder)):
+    if not inside and any(not _is_reference(path) for path in _pictures(files)):
         return None
     what = "does not exist" if not folder.exists() else "is not a data set"
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
@@ -108,11 +112,15 @@ def _files(folder: Path) -> list[Path]:
 
 def tables_in(folder: Path) -> list[Path]:
     """Return the CSV tables of a folder."""
-    return [path for path in _files(folder) if path.parent == folder and path.suffix.lower() == ".csv"]
+    return _tables(folder, _files(folder))
 
 
-def _pictures(folder: Path) -> list[Path]:
-    return [path for path in _files(folder) if path.suffix.lower() in SUFFIXES]
+def _tables(folder: Path, files: list[Path]) -> list[Path]:
+    return [path for path in files if path.parent == folder and path.suffix.lower() == ".csv"]
+
+
+def _pictures(files: list[Path]) -> list[Path]:
+    return [path for path in files if path.suffix.lower() in SUFFIXES]
 
 
 def _is_reference(picture: Path) -> bool:
@@ -206,22 +214,22 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     return paths, columns
 
 
-def _picture_folder(folder: Path) -> PictureFiles:
+def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
     """Read a folder of pictures; a CSV table names them and gives their labels, or else none has any.
 
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
     0.1 N, which is noted.
     """
-    tables = tables_in(folder)
+    tables = _tables(folder, files)
     if tables:
         columns, notes = known_columns(tables[0], needed=["picture"])
         paths = picture_paths(tables[0], columns.pop("picture"))
     else:
         columns, notes = {}, []
-        paths = [path for path in _pictures(folder) if not _is_reference(path)]
+        paths = [path for path in _pictures(files) if not _is_reference(path)]
         if others := Counter(
             "folders" if path.is_dir() else path.suffix.lower()
-            for path in _files(folder)
+            for path in files
             if path.suffix.lower() not in SUFFIXES and path.name not in (IMAGES, "Thumbs.db", "desktop.ini")
         ):
             kinds = ", ".join(f"{count} {kind or 'others'}" for kind, count in others.items())
@@ -237,7 +245,7 @@ def _picture_folder(folder: Path) -> PictureFiles:
         told = Labels.of({name: ranges[name] for name in forces})
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
     own = _own_references(tables[0], columns) if tables else []
-    references = list(dict.fromkeys(own)) or [_shared_reference(folder, columns, paths, notes)]
+    references = list(dict.fromkeys(own)) or [_shared_reference(folder, files, columns, paths, notes)]
     if own:
         columns["reference_id"] = np.array([references.index(path) for path in own])
     frames = PictureFiles(folder, folder.name, columns, paths, references, [*tables, *references], notes)
@@ -262,10 +270,14 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 
 
 def _shared_reference(
-    folder: Path, columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
+    folder: Path,
+    files: list[Path],
+    columns: dict[str, np.ndarray],
+    paths: list[Path],
+    notes: list[str],
 ) -> Path:
     """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
-    named = [path for path in _pictures(folder) if _is_reference(path)]
+    named = [path for path in _pictures(files) if _is_reference(path)]
     if len(named) > 1:
         notes.append(f"{len(named)} pictures are called a reference: {named[0].name} is taken")
     if named:

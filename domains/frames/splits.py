@@ -11,14 +11,13 @@ import pandas as pd
 
 from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
-from gelgap.domains.frames.dataset import DerivedFrames, LabelledFrames
-from gelgap.domains.frames.labels import check_names, usual_labels
+from gelgap.domains.frames.dataset import LabelledFrames
 
 WAYS = ("random", "point", "given")
 Shares = Sequence[float]
 PAPER_SHARES = (0.6, 0.2, 0.2)
 PARTS = ("train", "validation", "test")
-_TRAIN, _TEST = PARTS.index("train"), PARTS.index("test")
+_TRAIN, _VALIDATION, _TEST = range(3)
 _POINT = ("x_mm", "y_mm")
 _POSE = (*_POINT, "depth_mm", "shear_x_mm", "shear_y_mm")
 # Commanded poses that agree to a micrometre are one: it is far below what a rig can tell.
@@ -33,32 +32,6 @@ class DomainSplit(NamedTuple):
     target_train: np.ndarray
     target_validation: np.ndarray
     target_test: np.ndarray
-
-
-def labelled_for_run(
-    source: LabelledFrames, target: LabelledFrames, names: Sequence[str] | None = None
-) -> tuple[LabelledFrames, LabelledFrames, Sequence[str]]:
-    """Return the source's frames with all labels of a run, the target with NaN for those it lacks, and their names.
-
-    Without names these are the axes of the force that both domains have, or without any all labels that both have.
-    Where they share none, they are the source's, and the target is unlabelled.
-
-    Raises
-    ------
-    ValueError
-        If a name is wrong, or no frame of the source has all these labels.
-    """
-    if names is None:
-        names = usual_labels(set(source.known_labels) & set(target.known_labels) or source.known_labels)
-    if names:
-        check_names(names)
-    is_labelled = ~np.isnan(source.values_of(names)).any(axis=1) & (len(names) > 0)
-    if not is_labelled.any():
-        wanted = " and ".join(names) or "a label"
-        raise ValueError(f"source {source.name}: none of its {len(source)} frames has {wanted} to learn from")
-    labelled = source if is_labelled.all() else source.take(np.flatnonzero(is_labelled))
-    absent = {name: np.full(len(target), np.nan) for name in names if name not in target.columns}
-    return labelled, DerivedFrames(target, target.columns | absent, b"") if absent else target, names
 
 
 def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
@@ -172,9 +145,11 @@ def split_domains(
         of_source, of_target[labelled] = _parts(both, by, seed, [source_shares, own_shares], stratify_by)
     is_held_out = (of_source == _TEST) & (held_out > 0)
     return DomainSplit(
-        np.flatnonzero(~is_held_out),
-        np.flatnonzero(is_held_out),
-        *(np.flatnonzero(of_target == part) for part in range(len(PARTS))),
+        source_train=np.flatnonzero(~is_held_out),
+        source_held_out=np.flatnonzero(is_held_out),
+        target_train=np.flatnonzero(of_target == _TRAIN),
+        target_validation=np.flatnonzero(of_target == _VALIDATION),
+        target_test=np.flatnonzero(of_target == _TEST),
     )
 
 

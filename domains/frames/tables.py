@@ -18,11 +18,12 @@ MOST_BYTES = 2**28
 
 # Names under which people write the same thing; case does not count, nor what stands between their parts.
 NUMBERS = {
-    **{f"f{axis}_n": (f"f {axis}", f"force {axis}", f"{axis} force") for axis in "xyz"},
-    **{
-        f"m{axis}_nmm": (f"m {axis}", f"t {axis}", f"torque {axis}", f"moment {axis}", f"{axis} torque")
-        for axis in "xyz"
-    },
+    "fx_n": ("f x", "force x", "x force"),
+    "fy_n": ("f y", "force y", "y force"),
+    "fz_n": ("f z", "force z", "z force"),
+    "mx_nmm": ("m x", "t x", "torque x", "moment x", "x torque"),
+    "my_nmm": ("m y", "t y", "torque y", "moment y", "y torque"),
+    "mz_nmm": ("m z", "t z", "torque z", "moment z", "z torque"),
     "x_mm": ("x",),
     "y_mm": ("y",),
     "depth_mm": ("depth",),
@@ -31,8 +32,18 @@ NUMBERS = {
 WHOLE_NUMBERS = {"contact_class": ("contact class", "class", "label"), "point_id": ("point id", "point")}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
 PICTURE_NAMES = (
-    *("image", "file", "file name", "path", "picture", "frame", "img", "image path", "image file"),
-    *("image name", "img path", "file path"),
+    "image",
+    "file",
+    "file name",
+    "path",
+    "picture",
+    "frame",
+    "img",
+    "image path",
+    "image file",
+    "image name",
+    "img path",
+    "file path",
 )
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
@@ -42,8 +53,17 @@ _FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|wrench|ft|load|f[\W_]?[xyzn]?)(?![
 _BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 
 UNITS = {
-    "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3, "g": 9.80665e-3, "kg": 9.80665}
-    | {"lb": 4.4482216, "oz": 0.27801385},
+    "N": {
+        "N": 1,
+        "mN": 1e-3,
+        "cN": 1e-2,
+        "µN": 1e-6,
+        "kN": 1e3,
+        "g": 9.80665e-3,
+        "kg": 9.80665,
+        "lb": 4.4482216,
+        "oz": 0.27801385,
+    },
     "N·mm": {
         "N·mm": 1,
         "N·m": 1e3,
@@ -52,14 +72,26 @@ UNITS = {
         "mN·mm": 1e-3,
         "kg·cm": 98.0665,
         "in·lb": 112.98483,
-    }
-    | {"lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
+        "lb·in": 112.98483,
+        "in·oz": 7.0615518,
+        "oz·in": 7.0615518,
+    },
     "mm": {"mm": 1, "cm": 10, "m": 1e3, "µm": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
     "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
 }
 """What one of each unit is in gelgap's."""
-_LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
-_LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
+_LONG_UNITS = {
+    "newton": "n",
+    "newtons": "n",
+    "grams": "g",
+    "inches": "in",
+    "microns": "um",
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+}
 _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
 # What people and programs write where there is no value.
 EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")

@@ -116,13 +116,10 @@ def _run_on_cluster(plan: GenerationPlan, progress: Progress, client: "Client") 
         made = {key: client.submit(solve.run, key=f"solve-{key}") for key, solve in plan.solves.items()}
         solves = {future.key for future in made.values()}
         waiting = as_completed(made.values(), loop=client.loop)
-        made |= {
-            key: client.submit(
-                source.served_by, {one.key: made[one.key] for one in source.solves}, paper_picture, key=key
-            )
-            for key, source in plan.sources.items()
-            if key not in made
-        }
+        for key, source in plan.sources.items():
+            if key not in made:
+                of_source = {solve.key: made[solve.key] for solve in source.solves}
+                made[key] = client.submit(source.served_by, of_source, paper_picture, key=key)
         for batch in plan.batches:
             needed = {key: made[key] for key in batch.solve_keys}
             waiting.add(client.submit(_render_in_worker, batch, needed, key=f"frames-{batch.key}"))

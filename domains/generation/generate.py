@@ -33,8 +33,15 @@ LOG = logging.getLogger(__name__)
 RUN_LOG = "run.jsonl"
 """When, where and what; the one file that may differ between equal data sets."""
 PACKAGES = (
-    *("gelgap", "mujoco", "numpy", "scipy", "numba"),
-    *("pyrender", "colour-science", "opencv-python-headless", "pyarrow"),
+    "gelgap",
+    "mujoco",
+    "numpy",
+    "scipy",
+    "numba",
+    "pyrender",
+    "colour-science",
+    "opencv-python-headless",
+    "pyarrow",
 )
 """The packages whose versions a domain's bytes may depend on."""
 
@@ -250,7 +257,8 @@ class DomainWriter:
 
     def _write_manifest(self) -> None:
         recipe, shards = self.recipe, self.files.values()
-        lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
+        lows = [entry["force_min_n"] for entry in shards if entry.get("force_min_n")]
+        highs = [entry["force_max_n"] for entry in shards if entry.get("force_max_n")]
         manifest = {
             "schema_version": SCHEMA_VERSION,
             "domain": recipe.name,

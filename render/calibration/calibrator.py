@@ -191,8 +191,16 @@ def calibrate_light(
     spread = np.fmax(_jackknife_error(off), _angle_errors(fit))
     azimuths, elevations = np.stack([angles, spread], axis=-1)
     nearness_error = _jackknife_error(np.array([1 / other.distance_mm for other in without]))
+    lit, volumes = task.lit_sensor(fit), []
+    for k, pose in zip(fit.which, fit.presses, strict=True):
+        volumes.append(placed.profiles[k].volume_mm3(pose[2]))
     return LightCalibration(
-        **task.result(fit),
+        sensor=lit,
+        maps=task.flat_field(fit, lit),
+        gain=tuple(map(tuple, fit.field.gain.T.tolist())),
+        volume_mm3=float(np.median(volumes)),
+        poses_mm=fit.presses,
+        rms_code_values=fit.rms_code_values,
         names=tuple(placed.names[k] for k in used),
         left_out=tuple(placed.names[k] for k in outliers),
         held_out=tuple(held_out),
@@ -234,10 +242,9 @@ def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> 
 
 def _check_prediction(held_out: Sequence[HeldOut]) -> None:
     """Refuse a fit that is worse than the unchanged reference in a region; the plain table says what is wrong."""
-    marked, unchanged, table = (
-        np.median([getattr(press, kind) for press in held_out], axis=0)
-        for kind in ("marked", "unchanged", "table")
-    )
+    marked = np.median([press.marked for press in held_out], axis=0)
+    unchanged = np.median([press.unchanged for press in held_out], axis=0)
+    table = np.median([press.table for press in held_out], axis=0)
     for where, fitted, least, plain in zip(("inside", "around"), marked, unchanged, table, strict=True):
         if fitted > least:
             continue
@@ -316,7 +323,6 @@ class LightTask:
     order: int
     degree: int
     far: bool = True  # whether a press changes the picture where it does not touch
-    shadows: bool = True  # whether the dent casts them
     keep_camera: bool = False
 
     def fit(self, which: np.ndarray) -> LightFit:
@@ -329,7 +335,7 @@ class LightTask:
         nearest_mm = 1.05 * max(camera.footprint_mm(placed.size_px)) / 2  # out of the view, upright ones too
         bars = Bars.of(self.sensor.illumination.leds, nearest_mm)
         where = placed.half_view_mm, tuple(box_mm.ravel().tolist()), bars
-        light = Light(self.order, self.degree, self.shadows, *where, theta=np.zeros((0, 3)))
+        light = Light(self.order, self.degree, *where, theta=np.zeros((0, 3)))
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
         range_mm = camera.farthest_mm(placed.size_px), min(NEAREST_CAMERA_MM, -camera.position_mm[2])
         nearness_range = None if self.keep_camera else (1 / range_mm[0], 1 / range_mm[1])
@@ -364,26 +370,14 @@ class LightTask:
         }
         return self.sensor.model_copy(update=update)
 
-    def result(self, fit: LightFit) -> dict[str, object]:
-        """Return what a `LightCalibration` holds of a fit alone.
-
-        The flat field makes the rendered reference the real one.
-        """
-        sensor, far = self.lit_sensor(fit), fit.field
+    def flat_field(self, fit: LightFit, sensor: Sensor) -> FlatFieldMaps:
+        """Return the flat field that makes the rendered reference of the fitted sensor the real one."""
+        far = fit.field
         rendered = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px).reference_linear(False)
         ratio = gain_of(far.reference, rendered).astype(np.float16).astype(np.float32)  # as it will be read
         offset = (far.reference - ratio * rendered).astype(np.float32)
         loaded = None if far.loaded is None else np.clip(far.loaded, *LOADED_BOUNDS).astype(np.float32)
-        profiles = [self.placed.profiles[k] for k in fit.which]
-        volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
-        return {
-            "sensor": sensor,
-            "maps": FlatFieldMaps(ratio, loaded, offset, self.placed.dots),
-            "gain": tuple(map(tuple, far.gain.T.tolist())),
-            "volume_mm3": float(np.median(volumes)),
-            "poses_mm": fit.presses,
-            "rms_code_values": fit.rms_code_values,
-        }
+        return FlatFieldMaps(ratio, loaded, offset, self.placed.dots)
 
 
 def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
@@ -391,10 +385,15 @@ def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
     seen = fit.placed
     scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
     draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
-    marked, refined = (draw(pose_mm, scored_mm) for pose_mm in (expected_mm, fit.refined(press).presses[0]))
     plain = seen.at_level(press, table.picture(seen.centers_px[press]))
-    scores = [seen.scores(press, picture) for picture in (seen.reference, plain, marked, refined)]
-    return HeldOut(seen.names[press], *scores, draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)))
+    return HeldOut(
+        seen.names[press],
+        unchanged=seen.scores(press, seen.reference),
+        table=seen.scores(press, plain),
+        marked=seen.scores(press, draw(expected_mm, scored_mm)),
+        refined=seen.scores(press, draw(fit.refined(press).presses[0], scored_mm)),
+        draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)),
+    )
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:

@@ -123,7 +123,6 @@ class Light:
 
     order: int
     degree: int
-    shadows: bool
     scale_mm: float
     span_mm: tuple[float, float, float, float]
     bars: Bars
@@ -190,10 +189,8 @@ class SeenPoints:
         """Return what pixels that see `plane_mm` (n, 2) of the flat membrane see of the membranes around presses."""
         tables = [own.at(press[2]) for own, press in zip(profiles, presses, strict=True)]
         width = max(len(z) for z, _ in tables)
-        z, slopes = (
-            np.array([np.pad(row, (0, width - len(row))) for row in rows])
-            for rows in zip(*tables, strict=True)
-        )
+        z = np.array([np.pad(own, (0, width - len(own))) for own, _ in tables])
+        slopes = np.array([np.pad(own, (0, width - len(own))) for _, own in tables])
         positions, normals = np.empty((2, len(index), 3))
         presses = np.ascontiguousarray(presses, float)
         _see(plane_mm, index, presses, z, slopes, camera_mm, positions, normals)
@@ -214,8 +211,7 @@ class SeenPoints:
             key = strips.tobytes()
             if key not in kept:
                 column, place = np.empty(len(self.index)), (self.positions, self.normals, self.index)
-                shadows = light.shadows and not self.is_flat
-                _bar_light(*place, self.presses, self.z, strips, shadows, column)
+                _bar_light(*place, self.presses, self.z, strips, not self.is_flat, column)
                 if len(kept) > _KEPT_COLUMNS:
                     kept.clear()
                 kept[key] = column

@@ -164,10 +164,9 @@ class PlacedPresses:
         rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
         own = list(zip(which, parts, strict=True))
         code = np.concatenate([self.presses[k].picture[pixels] for k, pixels in own]).astype(float)
-        base, factor = (
-            np.concatenate(values)
-            for values in zip(*(field.at(*pixels, self.levels[k]) for k, pixels in own), strict=True)
-        )
+        light = [field.at(*pixels, self.levels[k]) for k, pixels in own]
+        base = np.concatenate([own_base for own_base, _ in light])
+        factor = np.concatenate([own_factor for _, own_factor in light])
         return index, self.camera.plane_points_mm(columns, rows, self.size_px), code, base, factor
 
     def _pixels(self, press: int) -> tuple[np.ndarray, np.ndarray]:

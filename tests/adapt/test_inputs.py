@@ -102,7 +102,7 @@ def test_displacement_is_how_far_the_dots_have_moved(monkeypatch):
     np.testing.assert_allclose(moved[:, 0].mean(axis=(1, 2)), [0, 1.2, -1.2], atol=0.25)
     np.testing.assert_allclose(moved[:, 1].mean(axis=(1, 2)), 0, atol=0.1)
     monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image)
-    with pytest.raises(ValueError, match="the reference of dots shows no dots"):
+    with pytest.raises(ValueError, match="the reference of dots shows no markers"):
         Displacements(ArrayFrames("dots", images, images[0], np.zeros((3, 3))), SIZE_PX, "cpu")
 
 

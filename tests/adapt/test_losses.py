@@ -14,18 +14,18 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Step
-from gelgap.adapt.methods.dan import (
+from gelgap.adapt.methods.dann import CDAN, DANN, domain_loss, multilinear_map, reverse_gradient
+from gelgap.adapt.methods.daregram import daregram
+from gelgap.adapt.methods.fourier_style import in_the_style_of
+from gelgap.adapt.methods.mmd import (
+    DSAN,
     bandwidth,
     joint_mmd,
+    lmmd,
     mk_mmd,
     mmd_of_kernel,
     multi_gaussian,
     squared_distances,
-)
-from gelgap.adapt.methods.dann import CDAN, DANN, domain_loss, multilinear_map, reverse_gradient
-from gelgap.adapt.methods.daregram import daregram
-from gelgap.adapt.methods.dsan import DSAN, lmmd
-from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar

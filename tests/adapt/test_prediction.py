@@ -83,10 +83,12 @@ def test_dots_are_found_and_followed_or_the_picture_is_refused(
     np.testing.assert_allclose(
         model.predict(frames.images()[5], frames.reference), model.predict_frames(frames)[5], atol=1e-6
     )
-    with pytest.raises(ValueError, match="input markers: dots and their flow are found outside the network"):
+    with pytest.raises(
+        ValueError, match="input markers: markers and their flow are found outside the network"
+    ):
         export_onnx(model, tmp_path / "model.onnx")
     monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image)
-    with pytest.raises(ValueError, match="the reference of these pictures shows no dots"):
+    with pytest.raises(ValueError, match="the reference of these pictures shows no markers"):
         model.predict(frames.images()[5], frames.reference)
 
 

@@ -17,7 +17,8 @@ from gelgap.adapt.methods.registry import find_method, make_method, method_names
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
-from gelgap.adapt.runs import adapt_folders, load_predictions, load_runs, run_key, stage1_key, stage1_profile
+from gelgap.adapt.run_record import load_predictions, load_runs
+from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
 from gelgap.adapt.trainer import adapt, batches_of, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
@@ -114,19 +115,6 @@ def test_classifier_only_trains_what_dsan_trains_without_its_loss(stage1, source
     np.testing.assert_array_equal(weights(without), weights(dsan))
     plain = adapt(stage1, source, target, "no-transfer", weightless)
     assert np.abs(weights(without) - weights(plain)).max() > 1e-4
-
-
-@pytest.mark.parametrize("statistics", ["mixed", "per_domain"])
-def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, target, statistics):
-    profile = stage1.profile.replace(batch_statistics=statistics)
-    seen = {}
-    model = adapt(
-        stage1, source, target, "dan", profile, watch=lambda epoch, m: seen.update({epoch: weights(m)})
-    )
-    assert sorted(seen) == list(range(1, profile.adapt_epochs + 1))
-    np.testing.assert_array_equal(seen[profile.adapt_epochs], weights(model))
-    unwatched = adapt(stage1, source, target, "dan", profile)
-    np.testing.assert_array_equal(weights(model), weights(unwatched))
 
 
 class Hidden(ArrayFrames):

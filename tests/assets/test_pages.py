@@ -4,7 +4,7 @@ from gelgap.assets import html_page
 
 
 def test_pictures_of_a_page_can_be_enlarged_without_a_script() -> None:
-    figures = [("forces", "AAAA"), ("features", "BBBB")]
+    figures = [("forces", b"AAAA"), ("features", b"BBBB")]
     page = html_page("results.html", title="Runs", tables=[], figures=figures)
     assert '<meta name="viewport" content="width=device-width' in page
     assert page.count('<label class="picture"><input type="checkbox" aria-label="enlarge: ') == 2

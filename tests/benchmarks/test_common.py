@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.common import (
     bootstrap,
     drawn_means,
     interval,
     key_of,
     read_records,
-    result_table,
     run_missing,
     write_json,
 )
@@ -212,10 +212,10 @@ def test_tables_show_numbers_ranges_and_what_is_not_there():
         },
         index=pd.Index(["dan", "dsan"], name="method"),
     )
-    table = result_table("Errors", frame, "a note", {"error": "{:.1f} %", "interval": "{:+.2f}"})
+    table = ResultTable.of("Errors", frame, "a note", {"error": "{:.1f} %", "interval": "{:+.2f}"})
     assert list(table.columns) == ["method", "error", "interval", "n", "ok"]
     assert table.rows == [["dan", "0.1 %", "+0.10…+0.20", 1, True], ["dsan", None, None, 2, None]]
-    assert result_table("Errors", frame.reset_index(drop=True)).rows[0][0] == 0.12345
+    assert ResultTable.of("Errors", frame.reset_index(drop=True)).rows[0][0] == 0.12345
 
 
 def test_results_are_written_as_json(tmp_path):

@@ -17,9 +17,9 @@ from gelgap.domains import (
     with_labels,
     write_overview,
 )
-from gelgap.domains.frames.dataset import force_classes, labels_of_run
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
+from gelgap.domains.frames.run_labels import force_classes, labels_of_run
 
 
 def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None = None) -> Path:
@@ -165,11 +165,11 @@ def undeclared(frames: ArrayFrames) -> ArrayFrames:
 def test_both_domains_of_a_run_get_one_range_that_target_labels_do_not_move():
     source = undeclared(arrays("s", fz_n=[-1.0, -7.33], depth_mm=[0.2, 0.4]))
     target = undeclared(arrays("t", fz_n=[-1.0, -20.0], depth_mm=[0.1, 0.9]))
-    labels, notes = labels_of_run(source, target)
+    labels, notes = labels_of_run(source, target, ["fz_n"], None)
     assert labels == Labels(("fz_n",), ((-7.4, 0.0),))
     assert "widened to -7.4 to 0 by source s" in notes[0]
     assert "1 of 2 frames of t have a label beyond the range (fz_n=-7.4:0)" in notes[1]
-    given, notes = labels_of_run(source, target, ranges={"fz_n": (-30.0, 0.0)})
+    given, notes = labels_of_run(source, target, ["fz_n"], {"fz_n": (-30.0, 0.0)})
     assert given.ranges == ((-30.0, 0.0),)
     assert notes == ()
     both = [with_labels(frames, given) for frames in (source, target)]
@@ -182,9 +182,9 @@ def test_both_domains_of_a_run_get_one_range_that_target_labels_do_not_move():
 def test_what_data_declare_is_kept():
     declared, wide = arrays("d", fz_n=[-1.0]), arrays("w", fz_n=[-1.0])
     wide.force_range_n = np.array([[-1, 1], [-1, 1], [-9, 0]])
-    assert labels_of_run(declared, wide)[0].ranges == ((-9.0, 0.0),)
+    assert labels_of_run(declared, wide, ["fz_n"], None)[0].ranges == ((-9.0, 0.0),)
     deep = arrays("deep", fz_n=[-4.0])
-    labels, notes = labels_of_run(deep, declared)
+    labels, notes = labels_of_run(deep, declared, ["fz_n"], None)
     assert labels.ranges == ((-3.0, 0.0),)
     assert "deep have a label beyond" in notes[0]
     with pytest.raises(ValueError, match="outside the declared range"):
@@ -204,11 +204,6 @@ def test_what_data_declare_is_kept():
 def test_wrong_labels_are_refused(names, ranges, message):
     with pytest.raises(ValueError, match=message):
         labels_of_run(arrays("s", fz_n=[-1.0], x_mm=[1.0]), arrays("t", fz_n=[-1.0]), names, ranges)
-
-
-def test_domains_without_a_common_label_say_what_they_have():
-    with pytest.raises(ValueError, match="share no label: s has x_mm; t has fz_n"):
-        labels_of_run(arrays("s", x_mm=[1.0]), arrays("t", fz_n=[-1.0]))
 
 
 def test_inspect_and_adapt_say_the_same_of_forces_that_pull(tmp_path: Path):

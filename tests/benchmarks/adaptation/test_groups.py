@@ -1,4 +1,4 @@
-"""The headline: what is run, the share of the headroom, rules beside methods, and what is compared with what."""
+"""The headline: what is run, the share of the gap, rules beside methods, and what is compared with what."""
 
 import math
 
@@ -10,20 +10,19 @@ from hypothesis import strategies as st
 from run_records import Record, headline_of, record, write_benchmark
 
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
-from gelgap.benchmarks.adaptation import designs
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import (
-    CEILING,
     GROUPS,
     LABEL_SHIFT,
     LIGHT_GROUPS,
     MAIN_METHODS,
     METHODS,
+    UPPER_BOUND,
 )
 from gelgap.benchmarks.adaptation.groups import (
     PART,
     SEEDS,
     SHRUNK,
-    ceiling_table,
     closed,
     control_table,
     counted,
@@ -32,17 +31,18 @@ from gelgap.benchmarks.adaptation.groups import (
     halves,
     headline_grid,
     holm,
-    load_ceilings,
     load_headline,
+    load_upper_bounds,
     method_table,
     p_value,
     sensor_pair,
+    upper_bound_table,
     usable,
     with_rules,
 )
 from gelgap.benchmarks.adaptation.study import control_of
 
-NO_CEILINGS = pd.DataFrame()
+NO_UPPER_BOUNDS = pd.DataFrame()
 
 
 def records(errors: dict[str, float], seeds: int = 2, groups=GROUPS, **fields) -> list[Record]:
@@ -54,11 +54,11 @@ def records(errors: dict[str, float], seeds: int = 2, groups=GROUPS, **fields) -
     ]
 
 
-def ceilings(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_target) -> list[Record]:
+def upper_bounds(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_target) -> list[Record]:
     """Runs of targets that were trained on themselves; of some targets with another R²."""
     targets = dict.fromkeys(target for _, target in GROUPS)
     return [
-        record((name, name), "source-only", error_n, seed, data=designs.DATA, r2=of_target.get(name, r2))
+        record((name, name), "source-only", error_n, seed, data=board.DATA, r2=of_target.get(name, r2))
         for name in targets
         for seed in range(seeds)
     ]
@@ -85,7 +85,7 @@ def test_a_stop_at_any_time_leaves_complete_seeds():
     assert {(run["source"], run["target"]) for run in first[: len(targets)]} == {(t, t) for t in targets}
     assert len(first) == len(targets) + len(groups) * (len(METHODS) - 1)
     assert {run["changes"] for run in runs} == {(("split_by", "point"),)}
-    assert {run["method"] for run in shifted} == {*MAIN_METHODS} - {CEILING}
+    assert {run["method"] for run in shifted} == {*MAIN_METHODS} - {UPPER_BOUND}
     assert {run["seed"] for run in runs} == set(SEEDS)
 
 
@@ -111,7 +111,9 @@ def test_records_of_two_configurations_are_not_compared(tmp_path):
 def test_methods_beside_their_controls(tmp_path):
     errors = {"source-only": 0.3, "no-transfer": 0.2, "classifier-only": 0.18, "dann": 0.19, "dsan": 0.15}
     runs = headline_of(tmp_path, records(errors))
-    rows, against = (rows_of(table(runs, "paired", NO_CEILINGS)) for table in (method_table, control_table))
+    rows, against = (
+        rows_of(table(runs, "paired", NO_UPPER_BOUNDS)) for table in (method_table, control_table)
+    )
     assert against["dsan"]["control"] == "classifier-only"
     assert against["dsan"]["difference, N"] == "-0.0300"
     assert against["dsan"]["95 % interval"] == "-0.0300…-0.0300"
@@ -123,36 +125,36 @@ def test_methods_beside_their_controls(tmp_path):
     assert [rows[m]["rank mean"] for m in errors] == ["5.0", "4.0", "2.0", "3.0", "1.0"]
 
 
-def test_the_share_of_the_headroom(tmp_path):
+def test_the_gap_closed(tmp_path):
     """From 0.3 N (the constant mean has 0.4) to 0.1 N; with the constant mean at 0.25 N from there."""
     errors = {"source-only": 0.3, "adabn": 0.2, "dsan": 0.15}
-    found = [*records(errors, data=designs.DATA), *ceilings(0.1)]
+    found = [*records(errors, data=board.DATA), *upper_bounds(0.1)]
     folder = write_benchmark(tmp_path / "one", found)
-    runs, own = with_rules(load_headline(folder)), load_ceilings(folder)
+    runs, own = with_rules(load_headline(folder)), load_upper_bounds(folder)
     share = closed(runs, own)["share"]
-    # Errors of the two seeds are 0.01 N apart, so that the headroom is 0.2 and 0.21 N.
+    # Errors of the two seeds are 0.01 N apart, so that the gap is 0.2 and 0.21 N.
     assert share["source-only"] == pytest.approx(0)
     assert share["adabn"] == pytest.approx(100 * 0.1 / 0.205)
     assert share["dsan"] == pytest.approx(100 * 0.15 / 0.205)
     near = [(run, own | {"baselines_mae_n": dict.fromkeys(BASELINES, (0.25,) * 3)}) for run, own in found]
     folder = write_benchmark(tmp_path / "two", near)
     runs = with_rules(load_headline(folder))
-    share = closed(runs, load_ceilings(folder))["share"]
+    share = closed(runs, load_upper_bounds(folder))["share"]
     assert share["adabn"] == pytest.approx(100 * (0.25 - 0.205) / 0.15)
     assert share[CONSTANT] == 0
-    table = rows_of(method_table(runs, designs.DATA, load_ceilings(folder)))
+    table = rows_of(method_table(runs, board.DATA, load_upper_bounds(folder)))
     assert table["adabn"]["closed"] == "30 %"
 
 
-def test_a_ceiling_that_is_none_is_left_out(tmp_path):
-    found = [*records({"source-only": 0.3, "dsan": 0.15}, data=designs.DATA)]
-    found += ceilings(0.1, wmb2i2=(0.7, 0.95, 0.99))
+def test_a_upper_bound_that_is_none_is_left_out(tmp_path):
+    found = [*records({"source-only": 0.3, "dsan": 0.15}, data=board.DATA)]
+    found += upper_bounds(0.1, wmb2i2=(0.7, 0.95, 0.99))
     folder = write_benchmark(tmp_path, found)
-    own = load_ceilings(folder)
+    own = load_upper_bounds(folder)
     assert "wmb2i2" not in usable(own)
     assert "wmb1i1" in usable(own)
     assert set(closed(with_rules(load_headline(folder)), own)["groups"]) == {6}
-    verdicts = {row[0]: row[-1] for row in ceiling_table(own).cells}
+    verdicts = {row[0]: row[-1] for row in upper_bound_table(own).cells}
     assert verdicts["wmb2i2"] == "NO"
     assert verdicts["mb0i0"] == "yes"
 
@@ -168,13 +170,13 @@ def test_rules_are_rows_of_every_table(tmp_path):
     assert set(runs["method"]) == {"source-only", "adabn", *BASELINES, SHRUNK}
     # AdaBN's Fz of 0.1 N, beside a mean shear of 0.3 N.
     assert counted(runs)[SHRUNK].tolist() == pytest.approx([0.7 / 3] * 9)
-    rows = rows_of(method_table(runs, "paired", NO_CEILINGS))
+    rows = rows_of(method_table(runs, "paired", NO_UPPER_BOUNDS))
     assert rows["adabn"]["mean, N"] == "0.400"
     assert rows["adabn"]["no shear, N"] == "0.233"
     assert rows["adabn"]["rank Fz"] == "1.5"
     assert rows["adabn"]["rank shear"] == "6.0"
     for table in (group_table, control_table):
-        assert CONSTANT in str(table(runs, "paired", NO_CEILINGS)) or table is control_table
+        assert CONSTANT in str(table(runs, "paired", NO_UPPER_BOUNDS)) or table is control_table
 
 
 def test_a_collapsed_run_counts_with_what_it_became(tmp_path):
@@ -186,7 +188,7 @@ def test_a_collapsed_run_counts_with_what_it_became(tmp_path):
     )
     runs = headline_of(tmp_path, found)
     assert counted(runs)["dsan"].iloc[:2].tolist() == pytest.approx([0.15, 0.4])
-    assert rows_of(method_table(runs, "paired", NO_CEILINGS))["dsan"]["collapsed"] == "1"
+    assert rows_of(method_table(runs, "paired", NO_UPPER_BOUNDS))["dsan"]["collapsed"] == "1"
 
 
 def test_methods_are_compared_on_what_all_have_finished(tmp_path):
@@ -202,14 +204,14 @@ def test_methods_are_compared_on_what_all_have_finished(tmp_path):
     assert len(errors) == 17
     assert (GROUPS[0][0] + " → " + GROUPS[0][1], 1) not in errors.index
     assert errors["source-only"].iloc[0] == pytest.approx(0.3)
-    assert "17 of 18" in method_table(runs, "paired", NO_CEILINGS).note
+    assert "17 of 18" in method_table(runs, "paired", NO_UPPER_BOUNDS).note
     assert list(errors.columns) == ["source-only", "dsan", "supervised"]
 
 
 def test_all_tables_of_two_data_sets(tmp_path):
     errors = {"source-only": 0.3, "adabn": 0.2, "dann": 0.16, "daregram": 0.15, "dsan": 0.14}
-    both = [*records(errors, data=designs.DATA), *records(errors, data="paired"), *ceilings(0.05)]
-    folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=designs.DATA)])
+    both = [*records(errors, data=board.DATA), *records(errors, data="paired"), *upper_bounds(0.05)]
+    folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=board.DATA)])
     found = PART.tables(folder)
     titles = [table.title for table in found]
     assert len(titles) == len(set(titles)) == 7
@@ -229,7 +231,7 @@ def test_paired_differences_leave_pairs_of_sensors_out(tmp_path):
         for i, group in enumerate(GROUPS)
         for seed in range(3)
     ]
-    table = control_table(headline_of(tmp_path, found), "paired", NO_CEILINGS)
+    table = control_table(headline_of(tmp_path, found), "paired", NO_UPPER_BOUNDS)
     ((_, _, mean, interval, p, better, leaving_out),) = table.rows
     assert float(mean) == pytest.approx(0.0205, abs=5e-4)
     assert float(interval.split("…")[0]) > 0.02

@@ -7,7 +7,7 @@ import pytest
 from run_records import record, write_runs
 
 from gelgap.adapt.inputs import INPUTS
-from gelgap.benchmarks.adaptation import board, designs, groups, inputs_and_lights
+from gelgap.benchmarks.adaptation import board, groups, inputs_and_lights
 from gelgap.benchmarks.adaptation.study import Part, Study
 from gelgap.benchmarks.common import read_records
 
@@ -23,7 +23,7 @@ def test_every_input_is_run_where_it_can_be_shown():
     assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
     (chosen,) = inputs_and_lights.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
-    with pytest.raises(ValueError, match="--inputs markers: no chosen group has dots on both sides"):
+    with pytest.raises(ValueError, match="--inputs markers: no chosen group has markers on both sides"):
         inputs_and_lights.INPUT_PART.measure(
             Study(Path(), Path(), "board", groups=(("wmb0i0", "wmb0i1"),), inputs=("markers",))
         )
@@ -88,8 +88,8 @@ def test_stored_errors_on_shifted_labels_are_the_published_ones():
     titles = ("All methods, {} contacts: mean over 2 groups", "Adapt or randomise? {} contacts")
     for title, data in product(titles, board.BY_ROLE):
         table = tables[title.format(data)]
-        # Shifted labels have no ceiling, so that no share of a headroom can mislead.
-        assert ("closed" in table.columns) == (data == designs.DATA)
+        # Shifted labels have no upper bound, so that no share of a gap can mislead.
+        assert ("closed" in table.columns) == (data == board.DATA)
         for cells in table.cells:
             row = dict(zip(table.columns, cells, strict=True))
             assert f" {row['mean, N']} | {row['Fz, N']} | {row['shear, N']} |" in page
@@ -103,14 +103,12 @@ def test_all_stored_records_can_be_read():
 
 
 def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_path):
-    pair, drawn = ("wmb0i0", "wmb0i1"), (designs.LIKE + "wmb0i1", "wmb0i1")
-    write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, [record(pair, "source-only", 0.3, data=designs.DATA)])
+    pair, drawn = ("wmb0i0", "wmb0i1"), (board.LIKE + "wmb0i1", "wmb0i1")
+    write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, [record(pair, "source-only", 0.3, data=board.DATA)])
     write_runs(tmp_path / groups.RUNS, [record(pair, "source-only", 0.2, data=board.LABEL_SHIFT)])
-    write_runs(
-        tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.1, data=designs.DATA)]
-    )
+    write_runs(tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.1, data=board.DATA)])
     (unshifted,) = inputs_and_lights.LIGHT_PART.tables(tmp_path)
-    assert designs.DATA in unshifted.title
+    assert board.DATA in unshifted.title
     write_runs(
         tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.15, data=board.LABEL_SHIFT)]
     )
@@ -122,9 +120,9 @@ def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_pa
 
 def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
     group, calibrated = ("wmb0i0", "wmb0i1"), inputs_and_lights.changes_of("calibrated")
-    runs = [record(group, "source-only", 0.3, data=designs.DATA)]
+    runs = [record(group, "source-only", 0.3, data=board.DATA)]
     errors = {"source-only": 0.2, "adabn": 0.15, "no-transfer": 0.14, "dann": 0.12}
-    runs += [record(group, method, error, 0, designs.DATA, calibrated) for method, error in errors.items()]
+    runs += [record(group, method, error, 0, board.DATA, calibrated) for method, error in errors.items()]
     write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, runs)
     _, table = inputs_and_lights.INPUT_PART.tables(tmp_path)
     assert "calibrated" in table.title

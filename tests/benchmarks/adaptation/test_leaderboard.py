@@ -8,7 +8,7 @@ from run_records import Record, record, write_runs
 
 from gelgap.adapt import ResultTable, split_for_training
 from gelgap.adapt.evaluation import evaluate_constant_mean
-from gelgap.benchmarks.adaptation import designs
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.groups import RULES
 from gelgap.benchmarks.adaptation.leaderboard import main, ranked, write_record
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
@@ -42,7 +42,7 @@ def study(tmp_path, monkeypatch):
 
 def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUP, **results) -> Record:
     """Return a run that nobody trained, whose predictions are off by as much."""
-    (run,) = grid([(designs.DATA, group)], ["dan" if "." in method else method], [seed])
+    (run,) = grid([(board.DATA, group)], ["dan" if "." in method else method], [seed])
     frames = study.frames_of(run)
     found = {
         "when": "2026-11-25",
@@ -53,13 +53,13 @@ def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUP, **re
         "stage1_sha256": f"weights {seed}",
         "r2": (0.95,) * 3,
     }
-    setting, own = record(group, run["method"], off_n, seed, data=designs.DATA, **found)
+    setting, own = record(group, run["method"], off_n, seed, data=board.DATA, **found)
     return setting | {"method": method}, own | results
 
 
 @pytest.fixture
 def folder(study, tmp_path):
-    """The records of one who ran source-only, AdaBN and the ceilings."""
+    """The records of one who ran source-only, AdaBN and the upper bounds."""
     runs = [
         run_of(study, method, seed, off_n, group)
         for method, off_n, group in (
@@ -140,7 +140,7 @@ def test_a_guests_short_source_only_puts_nobody_out(study, folder):
         ({"predicted_n": np.zeros((1, 3))}, "no finite prediction for each of the"),
         ({"predicted_n": np.full((8, 3), np.nan)}, "no finite prediction for each of the"),
         ({"predicted_n": None}, "no finite prediction for each of the"),
-        ({"off_n": 0.001}, "is below 0.0500 N, the ceiling's"),
+        ({"off_n": 0.001}, "is below 0.0500 N, the upper bound's"),
         ({"method": "adabn"}, "another record of it has more runs, or was read first"),
     ],
 )

@@ -15,8 +15,7 @@ import pytest
 from run_records import look_up_method, record, write_benchmark, write_runs
 
 from gelgap.adapt.trainer import untrained
-from gelgap.benchmarks.adaptation.board import GROUPS
-from gelgap.benchmarks.adaptation.designs import DATA
+from gelgap.benchmarks.adaptation.board import DATA, GROUPS
 from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS
 from gelgap.benchmarks.adaptation.report import is_benchmark, measure, write_benchmark_report
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid, train_once
@@ -67,11 +66,11 @@ def test_records_of_another_configuration_are_not_gone_on_from(same_data, differ
 
 
 def test_a_runs_settings_stand_above_the_methods_own(same_data):
-    from gelgap.adapt.methods.registry import transfer_weight
+    from gelgap.adapt.methods.registry import method_settings
 
     (run,) = grid(CASES, ["daregram"], [0], (("adapt_epochs", 3),), lambda _: [(("transfer_weight", 0.7),)])
     profile = same_data.profile_of(run)
-    assert transfer_weight("daregram", profile) == 0.7
+    assert method_settings("daregram", profile).final_weight(profile) == 0.7
     assert profile.adapt_epochs == 3
     (plain,) = grid(CASES, ["source-only"], [0])
     assert same_data.profile_of(plain).settings == {}

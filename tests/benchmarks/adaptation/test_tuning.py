@@ -8,7 +8,7 @@ import pytest
 from run_records import Record, record, write_runs
 
 from gelgap.adapt import SELECTORS, Profile
-from gelgap.benchmarks.adaptation import designs, tuning
+from gelgap.benchmarks.adaptation import board, tuning
 from gelgap.benchmarks.adaptation.board import (
     GROUPS,
     LIGHT_GROUPS,
@@ -134,7 +134,7 @@ def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
 
 def test_nothing_is_tuned_on_what_is_compared():
     names = {name for group in (*GROUPS, *LIGHT_GROUPS) for name in group}
-    compared = designs.role_recipes(sorted(names), "target")
+    compared = board.role_recipes(sorted(names), "target")
     own = {recipe for data in TUNING_SETS for recipe in tuning_recipes(data)}
     assert {recipe.name for recipe in own} == set(TUNING_DOMAINS)
     for part in ("elastomer", "illumination"):
