@@ -41,7 +41,7 @@ _PAD_MM = (80.0, 80.0)
 SHARE_OF_VIEW = 0.7
 # Deeper than this share of its radius a sphere is not pressed.
 _DEEPEST_BY_RADIUS = 0.6
-_DOTS_BY_PITCH = 0.35
+_MARKER_BY_PITCH = 0.35
 _LOGARITHMIC = {
     *("young_modulus_mpa", "friction", "sphere_diameter_mm"),
     *("full_well_electrons", "read_noise_electrons"),
@@ -76,7 +76,7 @@ class PretrainingRanges(Settings):
     point_spread_px: RisingInterval
     full_well_electrons: PositiveInterval
     read_noise_electrons: PositiveInterval
-    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has dots")
+    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has markers")
     marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
 
@@ -120,7 +120,7 @@ def pretraining_recipes(
     """Return the recipes of domains drawn from ranges, named `pretraining-0000` and so on.
 
     Of the factors `without` (see `RANDOM_FACTORS`), every domain has the middle instead: the middle of each range, the
-    first sensor and illumination as they are, no dots. The draws of the others are the same as with them. The quality
+    first sensor and illumination as they are, no markers. The others' draws are the same as with them. The quality
     is that of physics and pictures.
 
     Raises
@@ -226,7 +226,7 @@ class Draws:
         )
 
     def seen_by(self, number: int) -> tuple[Sensor, Illumination, bool]:
-        """Return a sensor with drawn camera and dots, its light, and whether it has dots."""
+        """Return a sensor with drawn camera and markers, its light, and whether it has markers."""
         sensor, illumination = self.light(number)
         markers = self.markers(number)
         parts = {"camera": self.camera(number, sensor.camera)} | ({"markers": markers} if markers else {})
@@ -271,13 +271,13 @@ class Draws:
         return Camera(**{**camera.model_dump(), **{name: round(value, 6) for name, value in drawn.items()}})
 
     def markers(self, number: int) -> Markers | None:
-        """Return dots over the whole view, or None."""
+        """Return markers over the whole view, or None."""
         has_markers, pitch = self.stream("markers", number).random(2).tolist()
         if "markers" in self.without or has_markers >= self.ranges.with_markers:
             return None
         pitch_mm = round(self.at("marker_pitch_mm", pitch), 3)
         across = math.ceil(self.ranges.view_mm[1] / pitch_mm)
-        diameter_mm = round(_DOTS_BY_PITCH * pitch_mm, 3)
+        diameter_mm = round(_MARKER_BY_PITCH * pitch_mm, 3)
         return Markers(columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=diameter_mm)
 
     def poses(self, number: int, press: Press, frames: int, view_mm: tuple[float, float]) -> tuple[Pose, ...]:

@@ -75,7 +75,7 @@ class TactileSensor:
     size_px, quality
         Width and height of pictures; quality of physics and pictures.
     markers
-        Whether the sensor's dots are there.
+        Whether the sensor's markers are there.
     noise_seed
         Seed of the camera's noise; none: no noise.
 

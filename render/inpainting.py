@@ -9,18 +9,18 @@ _FAR_PX = np.float32(1e6)
 def detect_markers(
     picture: np.ndarray, largest_diameter_px: float | None = None, least_contrast: float = 0.25
 ) -> np.ndarray:
-    """Return the bool (h, w) mask of dark dots in a uint8 (h, w, 3) sRGB picture.
+    """Return the bool (h, w) mask of dark markers in a uint8 (h, w, 3) sRGB picture.
 
-    A dot is darker than its surroundings in every channel, which shading under coloured light never is: a black
+    A marker is darker than its surroundings in every channel, which shading under coloured light never is: a black
     top-hat over the brightest channel finds it, and Otsu's threshold cuts it out. The mask is grown by a pixel or two,
     so that no rim stays.
 
     Parameters
     ----------
     largest_diameter_px
-        Dots are no larger than this; by default 8 % of the picture's width.
+        Markers are no larger than this; by default 8 % of the picture's width.
     least_contrast
-        By this share of their surroundings' code value dots are darker at least; shading and noise are not.
+        By this share of their surroundings' code value markers are darker at least; shading and noise are not.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def detect_markers(
     otsu, _ = cv2.threshold(depth, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     if otsu < least_contrast * np.median(around):
         return np.zeros(brightest.shape, bool)
-    # The rim of a dot is half covered: cut at half of Otsu's level, and only where a core was found. Codes are whole,
-    # so that a level for each code of the surroundings, rounded down, is a table.
+    # The rim of a marker is half covered: cut at half of Otsu's level, and only where a core was found.
+    # Codes are whole, so that a level for each code of the surroundings, rounded down, is a table.
     level = np.maximum(otsu, least_contrast * np.arange(256))
     core, rim = (
         (depth > cv2.LUT(around, np.minimum(share * level, 255).astype(np.uint8))).astype(np.uint8)

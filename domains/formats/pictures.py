@@ -88,7 +88,7 @@ def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
 
 
 def without_markers(picture: np.ndarray) -> np.ndarray:
-    """Return the uint8 (h, w, 3) picture with its dots found and filled in, as one must with a real sensor's picture.
+    """Return the uint8 (h, w, 3) picture with its markers found and filled in, as a real sensor's must be.
 
     One in which none are found stays as it is.
     """
