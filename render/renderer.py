@@ -8,12 +8,12 @@ import numpy as np
 from numba.core import event
 
 from gelgap.render import imaging
-from gelgap.render.dots import dot_cells, paint_dots
 from gelgap.render.flat_field import FlatFieldFilter
 from gelgap.render.light.gloss import gloss
 from gelgap.render.light.irradiance import DirectLight, direct_light
 from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
+from gelgap.render.markers import marker_cells, paint_markers
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
 from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
@@ -72,7 +72,7 @@ class MembraneRenderer:
         self._raster_step = min(max(int(RASTER_STEPS_PER_MM * pixel_mm), RASTER_STEPS[0]), RASTER_STEPS[1])
         self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm, self._raster_step)
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
-        self._dots = dot_cells(sensor.markers)
+        self._marker_cells = marker_cells(sensor.markers)
         ratio = np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
         self._marker_ratio = ratio.astype(np.float32)
         vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
@@ -160,8 +160,8 @@ class MembraneRenderer:
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
         geometry = self._geometry(surface)
         linear = self._gather(geometry, self._radiance(surface))
-        if markers and self._dots is not None:
-            paint_dots(geometry, *self._dots, self._marker_ratio, linear)
+        if markers and self._marker_cells is not None:
+            paint_markers(geometry, *self._marker_cells, self._marker_ratio, linear)
         if self._gain is not None:
             linear *= self._gain
         if self.sensor.camera.point_spread_px > 0:
@@ -192,7 +192,7 @@ class MembraneRenderer:
         displacement_mm
             (ny, nx, 3) displacement of the outer membrane; pressing moves to −z.
         markers
-            Whether the sensor's dots are there.
+            Whether the sensor's markers are there.
         frame_name
             What an error calls this membrane.
 
@@ -253,9 +253,9 @@ class MembraneRenderer:
     def marker_px(
         self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
     ) -> np.ndarray:
-        """Return (rows, columns, 2), or (1, n, 2) of a list: dots' centres in the picture (pixel centres at +0.5).
+        """Return (rows, columns, 2), or (1, n, 2) of a list: markers' centres in the picture (pixel centres at +0.5).
 
-        A missing dot is NaN.
+        A missing marker is NaN.
         """
         from scipy.ndimage import map_coordinates
 

@@ -50,7 +50,7 @@ _GRID = ("columns", "rows", "pitch_mm", "offset_mm", "missing")
 
 
 class Markers(Settings):
-    """Printed dots, given in rest coordinates, so that they move and stretch with the membrane: a grid or a list."""
+    """Printed markers, given in rest coordinates, so that they move and stretch with the membrane: a grid or a list."""
 
     layout: Literal["grid", "none"] = "grid"
     columns: int = Field(default=11, ge=1, le=200)
@@ -58,17 +58,20 @@ class Markers(Settings):
     pitch_mm: Annotated[Pitch | tuple[Pitch, Pitch], WrapValidator(_one_or_two)] = Field(
         default=1.1, description="distance between neighbours: one number, or two, along x and along y"
     )
-    diameter_mm: float = Field(default=0.4, gt=0.01, le=10, description="of a square dot its side")
-    albedo: Rgb = Field(default=(0.04, 0.04, 0.04), description="reflectance of the dots' paint")
+    diameter_mm: float = Field(default=0.4, gt=0.01, le=10, description="of a square marker its side")
+    albedo: Rgb = Field(default=(0.04, 0.04, 0.04), description="reflectance of the markers' paint")
     jitter_mm: float = Field(default=0.0, ge=0, le=5, description="largest random offset along x and along y")
-    missing_fraction: float = Field(default=0.0, ge=0, le=1, description="share of dots that are not there")
-    seed: int = Field(default=0, ge=0, description="of jitter and missing dots")
+    missing_fraction: float = Field(
+        default=0.0, ge=0, le=1, description="share of markers that are not there"
+    )
+    seed: int = Field(default=0, ge=0, description="of jitter and missing markers")
     offset_mm: tuple[Place, Place] = Field(default=(0.0, 0.0), description="centre of the grid (x, y)")
     missing: tuple[tuple[int, int], ...] = Field(
-        default=(), description="(row, column) of dots that are not there, counted from 0 at the upper left"
+        default=(),
+        description="(row, column) of markers that are not there, counted from 0 at the upper left",
     )
     positions_mm: tuple[tuple[Place, Place], ...] = Field(
-        default=(), max_length=40_000, description="(x, y) of each dot, instead of a grid"
+        default=(), max_length=40_000, description="(x, y) of each marker, instead of a grid"
     )
     shape: Literal["round", "square"] = Field(default="round", description="squares lie along x and y")
 
@@ -77,7 +80,7 @@ class Markers(Settings):
         given = [name for name in _GRID if name in self.model_fields_set]
         if self.positions_mm and (given or self.layout == "none"):
             other = given[0] if given else "layout = 'none'"
-            raise ValueError(f"positions_mm lists each dot: leave it out, or leave out {other}")
+            raise ValueError(f"positions_mm lists each marker: leave it out, or leave out {other}")
         for row, column in self.missing:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(
@@ -91,8 +94,8 @@ class Markers(Settings):
                     f"positions_mm.{k} = {self.positions_mm[k]}" for k in _closest_pair(self)[1:]
                 )
             raise ValueError(
-                f"{which}: dots are {self.spacing_mm:.3g} mm apart; diameter_mm + 2 jitter_mm, {least_mm:.3g} mm, is "
-                "the least at which they do not overlap"
+                f"{which}: markers are {self.spacing_mm:.3g} mm apart; diameter_mm + 2 jitter_mm, {least_mm:.3g} mm, "
+                "is the least at which they do not overlap"
             )
         return self
 
@@ -111,16 +114,16 @@ class Markers(Settings):
 
     @property
     def spacing_mm(self) -> float:
-        """The least distance between the centres of two dots, before any jitter; infinite for one dot of a list."""
+        """The least distance between the centres of two markers, before any jitter; infinite for a list of one."""
         return _closest_pair(self)[0] if self.positions_mm else float(np.min(self.pitch_mm))
 
     @property
     def norm(self) -> float:
-        """In which norm a dot is a ball: 2 for round ones, infinite for squares."""
+        """In which norm a marker is a ball: 2 for round ones, infinite for squares."""
         return np.inf if self.shape == "square" else 2.0
 
     def check_on_pad(self, pad_size_mm: tuple[float, float]) -> None:
-        """Raise ValueError for a listed dot whose centre is not on a pad (x, y)."""
+        """Raise ValueError for a listed marker whose centre is not on a pad (x, y)."""
         for number, place_mm in enumerate(self.positions_mm):
             if (np.abs(place_mm) > np.array(pad_size_mm) / 2).any():
                 raise ValueError(
@@ -130,7 +133,7 @@ class Markers(Settings):
 
 
 def _closest_pair(markers: Markers) -> tuple[float, int, int]:
-    """Return the least distance between two listed dots, and their indices; infinite for one dot."""
+    """Return the least distance between two listed markers, and their indices; infinite for one marker."""
     from scipy.spatial import cKDTree
 
     distances, neighbours = cKDTree(markers.positions_mm).query(markers.positions_mm, k=2, p=markers.norm)
@@ -140,7 +143,7 @@ def _closest_pair(markers: Markers) -> tuple[float, int, int]:
 
 
 def marker_rest_mm(markers: Markers) -> np.ndarray:
-    """Return (rows, columns, 2) rest positions of the dots; a missing dot is NaN.
+    """Return (rows, columns, 2) rest positions of the markers; a missing marker is NaN.
 
     A list of positions is one row. Layout `none` gives (0, 0, 2).
     """

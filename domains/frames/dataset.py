@@ -107,7 +107,7 @@ class LabelledFrames(ABC):
     def images(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`).
 
-        Without `markers`, these are found and inpainted at the stored size.
+        Without `markers`, their markers are found and inpainted at the stored size.
         """
         return self.load(self.image_size_px(size_px), markers)
 
@@ -263,7 +263,7 @@ class LabelledFrames(ABC):
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         """Return all reference pictures (r, h, w, 3) uint8 as `images` returns pictures; r is 1 unless frames differ.
 
-        Without `markers`, these are inpainted.
+        Without `markers`, their markers are inpainted.
         """
         size_px = self.image_size_px(size_px)
         if (size_px, markers) not in self._reduced_references:
@@ -286,7 +286,7 @@ class LabelledFrames(ABC):
     ) -> "PairedFrames":
         """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference.
 
-        Without `markers`, these are inpainted in pictures and reference.
+        Without `markers`, pictures and reference have their markers inpainted.
         """
         from gelgap.domains.frames.paired_frames import PairedFrames
 

@@ -26,6 +26,7 @@ from gelgap.adapt.methods.mmd import (
     mmd_of_kernel,
     multi_gaussian,
     squared_distances,
+)
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar

@@ -152,18 +152,18 @@ def test_a_saved_sensor_has_its_markers(tmp_path, markers, absent):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"jitter_mm": 0.4}, r"pitch_mm = 1\.1: dots are 1\.1 mm apart; .* 1\.2 mm, is the least"),
+        ({"jitter_mm": 0.4}, r"pitch_mm = 1\.1: markers are 1\.1 mm apart; .* 1\.2 mm, is the least"),
         ({"pitch_mm": "wide"}, "pitch_mm = 'wide': must be one number in .* or two"),
-        ({"pitch_mm": [1.1, 0.3]}, r"pitch_mm = \(1\.1, 0\.3\): dots are 0\.3 mm apart; .* 0\.4 mm"),
+        ({"pitch_mm": [1.1, 0.3]}, r"pitch_mm = \(1\.1, 0\.3\): markers are 0\.3 mm apart; .* 0\.4 mm"),
         ({"missing": [[8, 0]]}, r"missing = \(8, 0\): must be a row in 0…7 and a column in 0…10"),
         (
             {"positions_mm": LISTED, "pitch_mm": 1.1},
-            "positions_mm lists each dot: leave it out, or leave out pitch_mm",
+            "positions_mm lists each marker: leave it out, or leave out pitch_mm",
         ),
         ({"positions_mm": LISTED, "layout": "none"}, "leave out layout = 'none'"),
         (
             {"positions_mm": [*LISTED, (2.0, -1.5)]},
-            r"positions_mm.1 = .* and positions_mm.3 = .*: dots are 0 mm apart",
+            r"positions_mm.1 = .* and positions_mm.3 = .*: markers are 0 mm apart",
         ),
         ({"positions_mm": [(60, 0)]}, "positions_mm.0.0 = 60"),
     ],
@@ -193,7 +193,7 @@ def test_objects_are_shown_in_one_line(shown):
         assert "array" not in text
 
 
-def test_overlap_is_of_the_dots_shape():
+def test_overlap_is_of_the_markers_shape():
     corner_to_corner = ((0.0, 0.0), (0.39, 0.39))  # 0.55 mm
     Markers(positions_mm=corner_to_corner)
     with pytest.raises(ValueError, match="overlap"):
@@ -247,16 +247,16 @@ def test_lens_distortion_is_that_of_the_projection(renderer, dent):
         base.model_copy(update={"camera": camera}), Illumination.preset("i0"), (320, 240)
     )
     x, y, displacement = dent()
-    dots = render.marker_px(x, y, 0 * displacement)
+    markers = render.marker_px(x, y, 0 * displacement)
     picture = render.reference_linear()
     plain = render.reference_linear(markers=False)
     coverage = 1 - picture.sum(2) / np.maximum(plain.sum(2), 1e-6)
-    column, row = dots[1, 1]
+    column, row = markers[1, 1]
     rows, columns = np.indices(coverage.shape)
     near = np.hypot(columns + 0.5 - column, rows + 0.5 - row) < 12
     weight = coverage * near
     found = np.array([((columns + 0.5) * weight).sum(), ((rows + 0.5) * weight).sum()]) / weight.sum()
-    assert np.hypot(*(found - dots[1, 1])) < 0.1
+    assert np.hypot(*(found - markers[1, 1])) < 0.1
 
 
 @pytest.mark.parametrize("kind", ["illuminations", "sensors"])

@@ -75,7 +75,7 @@ def test_every_sensor_preset_renders_a_visible_dent(name, dent):
 @pytest.mark.parametrize(("axis", "shear_mm"), [(0, (0.2, 0.0)), (1, (0.0, 0.2))])
 def test_shear_moves_markers_right_and_down(renderer, dent, axis, shear_mm):
     render = renderer("i0")
-    window = (slice(122, 152), slice(144, 178))  # the dot that rests at (0, 0.55) mm, before and after
+    window = (slice(122, 152), slice(144, 178))  # the marker that rests at (0, 0.55) mm, before and after
     dark = [
         np.clip(60.0 - render.picture(*dent(0.2, shear)).max(axis=2)[window], 0, None)
         for shear in ((0.0, 0.0), shear_mm)
@@ -97,7 +97,7 @@ def test_marker_centres_follow_the_membrane(renderer, dent):
             continue
         left, top = round(column) - 13, round(row) - 13
         found = centroid_px(ratio[top : top + 26, left : left + 26]) + np.array([left, top])
-        # A dot on a curved flank is not symmetric about its centre: only the flat ones have theirs at the centroid.
+        # A marker on a curved flank is not symmetric about its centre: only the flat ones have theirs at the centroid.
         flank = np.hypot(*((np.array([column, row]) - (160 + 10, 120 + 8)) / 26.7)) < 2.6
         if not flank:
             assert np.hypot(*(found - (column, row))) < 0.1

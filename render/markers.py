@@ -1,4 +1,4 @@
-"""The dots on the membrane as the camera sees them: which of them a pixel may show, and how much of it."""
+"""The markers on the membrane as the camera sees them: which of them a pixel may show, and how much of it."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,19 @@ import numpy as np
 from gelgap.render.rasterizer import NOWHERE_MM
 from gelgap.render.sensor import LARGEST_PITCH_MM, Markers, marker_rest_mm
 
-# Cells of a list of dots: by the width of a dot, so that dots that touch lose 2 % of their area at most, and at most
-# along the list's longer side.
-_CELLS_PER_DOT, _MOST_CELLS = 16, 1000
+# Cells of a list of markers: by the width of a marker, so that those that touch lose 2 % of their area at most, and at
+# most along the list's longer side.
+_CELLS_PER_MARKER, _MOST_CELLS = 16, 1000
 
 
-class DotCells(NamedTuple):
-    """The undeformed membrane in cells, each with the only dot that it may show; a missing one is far away.
+class MarkerCells(NamedTuple):
+    """The undeformed membrane in cells, each with the only marker that it may show; a missing one is far away.
 
-    The cell of a point is `first` + `per_mm` × (x, y), rounded down. A dot of a grid has one cell, of a list many.
-    Beyond `reach_mm` from its centre a dot covers nothing.
+    The cell of a point is `first` + `per_mm` × (x, y), rounded down. A marker of a grid has one cell, of a list many.
+    Beyond `reach_mm` from its centre a marker covers nothing.
     """
 
-    dots_mm: np.ndarray  # float32 (rows, columns, 2)
+    centers_mm: np.ndarray  # float32 (rows, columns, 2)
     first: np.ndarray  # float32 (2,)
     per_mm: np.ndarray  # float32 (2,)
     radius_mm: np.float32
@@ -28,28 +28,28 @@ class DotCells(NamedTuple):
     are_squares: bool
 
 
-def dot_cells(markers: Markers) -> DotCells | None:
-    """Return the cells of a sensor's dots; None if it has none."""
+def marker_cells(markers: Markers) -> MarkerCells | None:
+    """Return the cells of a sensor's markers; None if it has none."""
     rest_mm = marker_rest_mm(markers)
     if np.isnan(rest_mm).all():
         return None
     if markers.positions_mm:
-        dots_mm, first, per_mm = _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
+        centers_mm, first, per_mm = _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
     else:
-        dots_mm, per_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM), 1 / np.broadcast_to(markers.pitch_mm, 2)
+        centers_mm, per_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM), 1 / np.broadcast_to(markers.pitch_mm, 2)
         first = np.array([markers.columns, markers.rows]) / 2 - np.array(markers.offset_mm) * per_mm
     radius_mm = np.float32(markers.diameter_mm / 2)
     reach_mm = radius_mm + np.float32(0.2 * min(markers.spacing_mm, LARGEST_PITCH_MM))
-    arrays = (values.astype(np.float32) for values in (dots_mm, first, per_mm))
-    return DotCells(*arrays, radius_mm, reach_mm, markers.shape == "square")
+    arrays = (values.astype(np.float32) for values in (centers_mm, first, per_mm))
+    return MarkerCells(*arrays, radius_mm, reach_mm, markers.shape == "square")
 
 
 def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return small cells around dots (n, 2), each with the dot that is nearest to its middle."""
+    """Return small cells around markers (n, 2), each with the marker that is nearest to its middle."""
     from scipy.spatial import cKDTree
 
     low, high = points_mm.min(0) - markers.diameter_mm, points_mm.max(0) + markers.diameter_mm
-    cell_mm = max(markers.diameter_mm / _CELLS_PER_DOT, (high - low).max() / _MOST_CELLS)
+    cell_mm = max(markers.diameter_mm / _CELLS_PER_MARKER, (high - low).max() / _MOST_CELLS)
     columns, rows = np.ceil((high - low) / cell_mm).astype(int)
     middles = low + (np.indices((rows, columns))[::-1].transpose(1, 2, 0) + 0.5) * cell_mm
     nearest = cKDTree(points_mm).query(middles, p=markers.norm)[1]
@@ -69,8 +69,8 @@ def _one_more(values, out):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _dot_coverage(x, y, x_below, y_below, from_x, from_y, radius, reach, coverage):
-    """Fill how much of each pixel of a row the nearest dot covers; `from_x` and `from_y` lead there from its centre.
+def _round_coverage(x, y, x_below, y_below, from_x, from_y, radius, reach, coverage):
+    """Fill how much of each pixel of a row the nearest marker covers; `from_x` and `from_y` lead there from its centre.
 
     Beyond `reach`, as where the next pixel sees no membrane, it covers nothing. Rows of coordinates have one pixel
     more. Without a branch, so that the loop runs in vector registers.
@@ -100,16 +100,16 @@ def _square_coverage(x, y, x_below, y_below, from_x, from_y, half_side, reach, c
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def paint_dots(geometry, dots_mm, first, per_mm, radius, reach, square, ratio, out):
-    """Multiply the picture by the dots' relative reflectance, anti-aliased by the dots' size in pixels.
+def paint_markers(geometry, centers_mm, first, per_mm, radius, reach, square, ratio, out):
+    """Multiply the picture by the markers' relative reflectance, anti-aliased by the markers' size in pixels.
 
-    A dot stays within its own cells.
+    A marker stays within its own cells.
     """
     height, width, _ = geometry.shape
-    rows, columns, _ = dots_mm.shape
+    rows, columns, _ = centers_mm.shape
     zero, one = np.float32(0), np.float32(1)
     last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
-    dots = dots_mm.ravel()
+    centers = centers_mm.ravel()
     x, y = np.empty((height + 1, width + 1), np.float32), np.empty((height + 1, width + 1), np.float32)
     _one_more(geometry[:, :, 0], x)
     _one_more(geometry[:, :, 1], y)
@@ -119,12 +119,12 @@ def paint_dots(geometry, dots_mm, first, per_mm, radius, reach, square, ratio, o
         for i in range(width):
             column = np.int64(min(max(x[j, i] * per_mm[0] + first[0], zero), last_column))
             row = np.int64(min(max(y[j, i] * per_mm[1] + first[1], zero), last_row))
-            dot = np.uint64(2 * (row * columns + column))
-            from_x[i], from_y[i] = x[j, i] - dots[dot], y[j, i] - dots[dot + np.uint64(1)]
+            marker = np.uint64(2 * (row * columns + column))
+            from_x[i], from_y[i] = x[j, i] - centers[marker], y[j, i] - centers[marker + np.uint64(1)]
         if square:
             _square_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, reach, coverage)
         else:
-            _dot_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, reach, coverage)
+            _round_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, reach, coverage)
         for i in range(width):
             if coverage[i] > zero:
                 for k in range(3):
