@@ -46,7 +46,6 @@ _LOGARITHMIC = {
     *("young_modulus_mpa", "friction", "sphere_diameter_mm"),
     *("full_well_electrons", "read_noise_electrons"),
 }
-_QUICK = {"presses": 1, "depths": 1, "sphere_diameter_mm": (3.0, 3.0), "deepest_by_thickness": (0.05, 0.05)}
 
 
 class PretrainingRanges(Settings):
@@ -101,10 +100,6 @@ class PretrainingRanges(Settings):
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
             return cls(**{**default, **given})
-
-    def in_quick_form(self) -> Self:
-        """Return these ranges with one shallow press of a small sphere: to see that all works, not to learn."""
-        return type(self)(**{**self.model_dump(), **_QUICK})
 
 
 def pretraining_recipes(
