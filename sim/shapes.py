@@ -288,9 +288,8 @@ _OF_THE_FILE = ("hull_mm", "above_mm")
 
 def fields_of(body: type[Indenter]) -> dict[str, str]:
     """Return the fields that a TOML file may give of a kind of body, and what they mean."""
-    fields = {
-        name: field.description for name, field in body.model_fields.items() if name not in _OF_THE_FILE
-    }
+    described = ((name, field.description or "") for name, field in body.model_fields.items())
+    fields = {name: meaning for name, meaning in described if name not in _OF_THE_FILE}
     if body is ConvexMesh:
         fields["unit"] = "Unit of a mesh file that does not state it: mm, cm, m, inch or um."
     return fields
