@@ -9,6 +9,7 @@ from gelgap import adapt, domains
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
+from gelgap.cli.keys import Meanings, Set, given, profile_keys
 
 CONSTANT_MEAN = "constant-mean"
 SELECTION = "selection.csv"
@@ -58,7 +59,7 @@ class Adapt(opt.Command):
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out colour-runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=calibrated --out colour-runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
     """
 
@@ -71,8 +72,8 @@ class Adapt(opt.Command):
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
     profile: tuple[opt.ProfileName, ...] = ("smoke",)
-    input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
-    """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
+    set: Set = ()
+    """Values that differ from the profile's, such as input=calibrated or split_by=clip; all keys are listed above."""
     backbone: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """The feature extractor: resnet18, resnet50, or your own as file.py:make_backbone."""
     labels: Annotated[
@@ -83,10 +84,6 @@ class Adapt(opt.Command):
         tuple[str, ...] | None, opt.optional("NAME=LOW:HIGH ...", "as the data declare it"), label_ranges
     ] = None
     """Ranges by which labels of both domains are normalised, as fz_n=-30:0."""
-    split_by: Annotated[str | None, opt.optional("COLUMN", "the profile's")] = None
-    """Split both domains at random, by contact point, as given, or by a column such as clip: whole groups."""
-    stratify: Annotated[str | None, opt.optional("COLUMN")] = None
-    """Give every part of the split its share of each value of a column, such as object."""
     classes: Annotated[
         tuple[Literal["from-force"], int] | None, opt.optional("from-force COUNT", "the source's own")
     ] = None
@@ -101,12 +98,16 @@ class Adapt(opt.Command):
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
+    @classmethod
+    def keys(cls) -> dict[str, Meanings]:
+        return {"profile": profile_keys()}
+
     def run(self, started: float) -> None:
         """Train, adapt, print a table for each target, with a line per method and profile."""
-        changes = {"input": self.input, "split_by": self.split_by, "stratify_by": self.stratify}
-        changes["backbone"] = self.backbone and adapt.use_backbone(self.backbone)
-        given = {name: value for name, value in changes.items() if value is not None}
-        profiles = [opt.named(adapt.Profile, name).replace(**given) for name in self.profile]
+        changes = given(self.set, self.keys())["profile"]
+        if self.backbone is not None:
+            changes["backbone"] = adapt.use_backbone(self.backbone)
+        profiles = [opt.named(adapt.Profile, name).replace(**changes) for name in self.profile]
         with shown_progress() as progress:
             runs = adapt.adapt_folders(
                 self.source,

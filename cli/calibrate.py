@@ -64,27 +64,24 @@ class Calibrate(opt.Command):
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
-    presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES")] = None
-    """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path | None, opt.optional("PATH")] = None
+    presses: tyro.conf.Positional[Path]
+    """TOML file that lists the pictures of pressed spheres; or gelsight or gelsight_mini, calibration pictures of the
+    package taxim, or a folder with such a dataPack.npz."""
+    reference: Annotated[Path | None, opt.optional("PATH", "the package's")] = None
     """Picture without contact."""
     sensor: Annotated[str | None, opt.optional("NAME")] = None
-    """Where the fit starts, instead of mm_per_px: a sensor preset or TOML file; LEDs of its own within 30°, or none."""
-    from_taxim: Annotated[str | None, opt.optional("NAME")] = None
-    """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
+    """Where the fit starts, instead of --mm-per-px: a sensor preset or TOML file; its LEDs within 30°, or none."""
     mm_per_px: Annotated[float | None, opt.optional("MM"), check_mm_per_px] = None
-    """How much of the gel a pixel shows. With --from-taxim 0.0295 if left out, as those packages say."""
+    """How much of the gel a pixel shows. Of taxim 0.0295 if left out, as it says."""
     sphere_diameter_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
-    pictures: Annotated[Path | None, opt.optional("FOLDER"), opt.output_folder] = None
-    """Where the held-out presses are shown: real, predicted, four times their difference; default: NAME-held-out."""
     held_out_parts: Annotated[int, opt.between(0, 24)] = 3
     """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
     keep_camera: opt.Flag = False
     """Leave the camera as the sensor has it; otherwise its blur and distance are fitted, as far as seems parallel."""
-    membrane_quality: opt.Quality = "draft"
+    quality: opt.Quality = "draft"
     """How finely the membrane around the spheres is solved."""
 
     def run(self, started: float) -> None:
@@ -102,7 +99,7 @@ class Calibrate(opt.Command):
             sensor,
             reference,
             presses,
-            lambda diameters, deepest: domains.sphere_profiles(diameters, deepest, self.membrane_quality),
+            lambda diameters, deepest: domains.sphere_profiles(diameters, deepest, self.quality),
             keep_camera=self.keep_camera,
             folds=self.held_out_parts,
         )
@@ -111,37 +108,35 @@ class Calibrate(opt.Command):
         described = fit.sensor.model_copy(
             update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED}
         )
-        fitted = render.save_calibration(replace(fit, sensor=described), self.output)
-        print(f"wrote {self.output} and {fitted.flat_field.file}")
+        fitted = render.save_calibration(replace(fit, sensor=described), self.out)
+        print(f"wrote {self.out} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
             print(f"gelgap: warning: {warning}", file=sys.stderr)
         if fit.held_out:
-            folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
-            write_comparisons(fit, presses, folder)
+            write_comparisons(fit, presses, self.out.with_name(f"{self.out.stem}-held-out"))
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
         from gelgap.assets.image_file import read_image
-        from gelgap.domains.calibration_presses import taxim_presses
+        from gelgap.domains.calibration_presses import NAMES, taxim_presses
         from gelgap.render.calibration.pictures import read_presses
 
-        if self.from_taxim is not None:
-            if self.presses or self.reference:
-                raise ValueError(
-                    "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
-                )
-            found = taxim_presses(self.from_taxim, self.mm_per_px)
+        if self.presses.is_dir() or str(self.presses) in NAMES:
+            if self.reference:
+                raise ValueError(f"{self.presses} brings its own reference; leave out --reference")
+            found = taxim_presses(str(self.presses), self.mm_per_px)
             start, reference, presses = found.start, found.reference, found.presses
-        elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
+        elif self.reference and (self.sensor is None) != (self.mm_per_px is None):
             presses, reference = read_presses(self.presses), read_image(self.reference)
             camera = render.Camera()
             if self.mm_per_px:
                 camera = render.Camera.showing(reference.shape[1] * self.mm_per_px)
             markers = render.Markers(layout="none")
-            start = render.Sensor(name=self.output.stem, camera=camera, markers=markers)
+            start = render.Sensor(name=self.out.stem, camera=camera, markers=markers)
         else:
             raise ValueError(
-                "calibrate needs PRESSES, --reference and either --mm-per-px or --sensor, or --from-taxim instead"
+                f"{self.presses}: beside a list of presses, calibrate needs --reference, and either --mm-per-px or "
+                "--sensor"
             )
         if self.sensor is not None:
             start = opt.named(render.Sensor, self.sensor)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from gelgap import adapt, domains, render, sim
+from gelgap import adapt, domains, render
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
 METHODS = ("source-only", "adabn", "dsan")
-SEED = 0
+PATH, PROFILE, SEED = "smoke-random", "smoke", 0
 # Of the source's frames, by Fz, for DSAN: contacts at random are on no grid that would class them.
 CLASSES = 10
 SAMPLE_DEPTH_MM = 0.6
@@ -36,46 +36,34 @@ class Demo(opt.Command):
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: str = "smoke-random"
-    """Contact path of both domains (see: gelgap presets paths)."""
-    profile: str = "smoke"
-    """Training profile (see: gelgap presets profiles)."""
-    quality: opt.Quality = "draft"
-    """Quality of the physics; draft is within a few per cent in force and the quickest."""
-    size: opt.PictureSize = (320, 240)
-    scheduler: Annotated[
-        str | None, opt.optional("ADDRESS", "a local cluster on all cores"), opt.scheduler_address
-    ] = None
-    """Address of a Dask scheduler; `synchronous` runs in this process."""
+    workers: opt.Workers = None
 
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
         from gelgap.adapt.report import axis_table, error_table, training_table
         from gelgap.adapt.result_table import write_pages
 
-        path, profile = sim.load_path(self.path), adapt.Profile.preset(self.profile)
-        print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
+        print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
+        processes, scheduler = opt.processes_and_scheduler(self.workers)
         report = domains.generate(
             (SOURCE, TARGET),
-            path,
+            PATH,
             self.out / "data",
-            quality=self.quality,
+            quality="draft",
             seed=SEED,
-            scheduler=self.scheduler,
-            size_px=self.size,
+            scheduler=scheduler,
+            workers=processes,
             columns=("height_map",),
         )
         print(report)
 
-        print(
-            f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
-        )
+        print(f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {PROFILE!r})")
         with shown_progress() as progress:
             runs = adapt.adapt_folders(
                 self.out / "data" / SOURCE,
                 self.out / "data" / TARGET,
                 METHODS,
-                profile=profile,
+                profile=adapt.Profile.preset(PROFILE),
                 seed=SEED,
                 classes_from_force=CLASSES,
                 out_dir=self.out / "runs",

@@ -21,7 +21,7 @@ class Finetune(opt.Command):
       gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
     """
 
-    checkpoint: tyro.conf.Positional[Path]
+    model: tyro.conf.Positional[Path]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
     on: Path
     """Folder of the data set of which some frames are learnt."""
@@ -42,7 +42,7 @@ class Finetune(opt.Command):
         if self.backbone is not None:
             adapt.use_backbone(self.backbone)
         found = adapt.finetune(
-            self.checkpoint, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
+            self.model, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
         )
         print(found)
         if self.out is not None:

@@ -2,17 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from gelgap import domains, render, sim
+from gelgap.assets import list_presets
+from gelgap.assets.names import closest_name
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
+from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
 
 if TYPE_CHECKING:
     from gelgap.domains.sweep import Variant
 
+DATA_SETS = list_presets("datasets")
 OptionalColumn = Literal[
     "height_map",
     "contact_mask",
@@ -36,6 +40,24 @@ def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     return tuple((papers | given).values())
 
 
+def check_what(words: tuple[str, ...]) -> None:
+    """Check names of domains, of which there may be several, or of a data set or a TOML file, which stands alone."""
+    from gelgap.domains.domain import Domain
+
+    for word in words:
+        if word in DATA_SETS or word.endswith(".toml"):
+            if len(words) > 1:
+                raise ValueError(f"{word} stands for several domains; name it alone")
+            continue
+        try:
+            Domain.parse(word)
+        except ValueError as error:
+            near = closest_name(word, DATA_SETS)
+            raise ValueError(
+                f"{error}; data sets: {', '.join(DATA_SETS)}{';' if near else ''}{near}"
+            ) from None
+
+
 @dataclass(frozen=True)
 class Generate(opt.Command):
     """Generate domains: press, render, label and write them; run it again to resume or to check that all is there.
@@ -45,9 +67,10 @@ class Generate(opt.Command):
 
     For example:
       gelgap generate mb0i0 wmb1i1 --path cpu --out data
-      gelgap generate --preset paper --out paper-data
-      gelgap generate --preset paper --out paper-data --dry-run
-      gelgap generate mb0i0 --indenter sphere-4 --further-indenters cone-60 cylinder-3 --out data --dry-run
+      gelgap generate paper --out paper-data
+      gelgap generate paper --out paper-data --dry-run
+      gelgap generate mb0i0 --indenter sphere-4 cone-60 cylinder-3 --out data --dry-run
+      gelgap generate mb0i0 --set young_modulus_mpa=0.4 --name stiff --out data --dry-run
       gelgap generate mb0i0 --elastomer b1 --illumination i2 --name soft --out data --dry-run
       gelgap generate wmb0i0 --lights-like reference.png --name like-mine --out data
     """
@@ -57,14 +80,9 @@ class Generate(opt.Command):
 
     out: Annotated[Path, opt.output_folder]
     """Folder that gets one folder per domain."""
-    domains: Annotated[tyro.conf.Positional[tuple[str, ...]], opt.optional("[DOMAIN ...]")] = ()
-    """Names of domains; or leave them out and give --preset or --sweep."""
-    preset: Annotated[str | None, opt.optional("NAME")] = None
-    """A whole data set (see: gelgap presets datasets)."""
-    sweep: Annotated[Path | None, opt.optional("TOML")] = None
-    """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
-    recipe: Annotated[Path | None, opt.optional("TOML")] = None
-    """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
+    what: Annotated[tyro.conf.Positional[tuple[str, ...]], opt.optional("[WHAT ...]"), check_what] = ()
+    """Names of domains; or one data set (see: gelgap presets datasets); or one TOML file, of a sweep that crosses
+    factors around a base domain, or of whole domains as `gelgap view` saves it."""
     elastomer: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
     illumination: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
@@ -74,9 +92,11 @@ class Generate(opt.Command):
     and recoloured to suit it, as NAME-1 to NAME-8 with the frames of one; needs --name."""
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
-    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = opt.SPHERE
-    further_indenters: Annotated[tuple[str, ...] | None, opt.optional("NAME [NAME ...]", "none")] = None
-    """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
+    indenter: tuple[str, ...] = ("sphere",)
+    """Shapes, presets (gelgap presets indenters), TOML or mesh files; each goes the whole path, and of several the
+    column `indenter` says which."""
+    set: Set = ()
+    """Values of the gel (needs --name), sizes of the body, and how the domains are made; all keys are listed above."""
     path: str = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: opt.Quality = "standard"
@@ -88,91 +108,103 @@ class Generate(opt.Command):
     size: opt.PictureSize = (320, 240)
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well: pictures of the contact, how it was solved, six axes, force by cell."""
-    force_range: Annotated[
+    range: Annotated[
         tuple[str, ...] | None, opt.optional("NAME=LOW:HIGH ...", "the paper's"), force_ranges
     ] = None
     """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
-    contacts: Literal["paired", "independent"] = "paired"
-    """The same poses in every domain, or a draw of its own for each domain."""
-    exact: opt.Flag = False
-    """Solve every pose of a random path, instead of interpolating it from a library of a few solves."""
-    rendered_without_markers: opt.Flag = False
-    """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
+
+    @classmethod
+    def keys(cls) -> dict[str, Meanings]:
+        fields = domains.DomainRecipe.model_fields
+        making = {name: fields[name].description for name in ("contacts", "interpolated")}
+        return {"gel": gel_keys(), "body": body_keys(), "making of the domains": making}
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
         from gelgap.domains.sweep import write_sweep
 
-        self.generation.check()
-        self._check_choices()
-        recipes, variants = self._recipes()
+        recipes, variants = self.recipes()
         if self.generation.dry_run:
-            print(domains.estimate(recipes, self.generation.workers))
+            self.generation.estimate(recipes)
             return
         self.generation.generate(recipes, self.out)
         if variants:
             print(f"gaps to the base: {write_sweep(variants, self.out)}")
 
-    def _check_choices(self) -> None:
-        """Refuse options that lack or exclude each other."""
-        sources = [bool(source) for source in (self.domains, self.preset, self.sweep, self.recipe)]
-        if sum(sources) > 1 or not (any(sources) or self.name):
-            raise ValueError(
-                "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file, "
-                "a --recipe file"
-            )
-        if self.name is None and (self.elastomer or self.illumination or self.lights_like):
-            raise ValueError(
-                "--name is missing: a domain with an --elastomer, an --illumination or --lights-like of your own needs "
-                "a name, for example --name my-gel"
-            )
-        if self.name is not None and (any(sources[1:]) or len(self.domains) > 1):
-            raise ValueError(
-                f"--name = {self.name!r}: names one domain; give it with one domain or none, "
-                "not with --preset, --sweep or --recipe"
-            )
-
-    def _recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
+    def recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
-        from gelgap.assets.image_file import read_image
-        from gelgap.assets.toml_file import named_in_errors
+        from gelgap.assets.toml_file import read_toml
         from gelgap.domains.sweep import sweep_variants
 
-        settings = {
-            "indenter": self.body.make(),
-            "further_indenters": tuple(map(sim.load_indenter, self.further_indenters or ())),
+        gel, body, making = given(self.set, self.keys()).values()
+        if not self.what and self.name is None:
+            raise ValueError(
+                "name what to make: domains (for example mb0i0 wmb1i1), a data set "
+                f"({', '.join(DATA_SETS)}), or a TOML file"
+            )
+        if self.name is None and (self.elastomer or self.illumination or self.lights_like or gel):
+            raise ValueError(
+                "--name is missing: a domain with a gel, an --illumination or --lights-like of your own needs a name, "
+                "for example --name my-gel"
+            )
+        settings = making | {
             "sensor": opt.named(render.Sensor, self.sensor),
-            "columns": tuple(dict.fromkeys((*self.columns, *["indenter"] * bool(self.further_indenters)))),
             "quality": self.quality,
             "seed": self.seed,
             "size_px": self.size,
-            "contacts": self.contacts,
-            "exact": self.exact,
         }
-        if self.force_range is not None:
-            settings["force_range_n"] = force_ranges(self.force_range)
-        if self.rendered_without_markers:
-            settings["inpainted"] = ()
-        if self.sweep:
-            variants = sweep_variants(domains.Sweep.load(self.sweep), **settings)
-            return tuple(variant.recipe for variant in variants), variants
-        if self.recipe:
-            return domains.load_recipes(self.recipe, **settings), ()
-        if self.preset:
-            return domains.preset_recipes(self.preset, **settings), ()
-        if self.name is None:
-            return domains.make_recipes(self.domains, self.path, **settings), ()
+        settings |= self._pressed(body)
+        if self.range is not None:
+            settings["force_range_n"] = force_ranges(self.range)
+        first = self.what[0] if len(self.what) == 1 else ""
+        if self.name is not None:
+            return self._own_domain(gel, settings), ()
+        if first in DATA_SETS:
+            return domains.preset_recipes(first, **settings), ()
+        if not first.endswith(".toml"):
+            return domains.make_recipes(self.what, self.path, **settings), ()
+        if "domains" in read_toml(first):
+            return domains.load_recipes(first, **settings), ()
+        variants = sweep_variants(domains.Sweep.load(first), **settings)
+        return tuple(variant.recipe for variant in variants), variants
+
+    def _pressed(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Return the settings of the indenters, with sizes of the only one, and the columns."""
+        if body and len(self.indenter) > 1:
+            raise ValueError(
+                f"--set {next(iter(body))}: is a size of which of the {len(self.indenter)} indenters? "
+                "Give sizes of several in TOML files"
+            )
+        first, *further = (sim.load_indenter(name, **body) for name in self.indenter)
+        columns = dict.fromkeys((*self.columns, "indenter") if further else self.columns)
+        return {"indenter": first, "further_indenters": tuple(further), "columns": tuple(columns)}
+
+    def _own_domain(
+        self, gel: dict[str, Any], settings: dict[str, Any]
+    ) -> "tuple[domains.DomainRecipe, ...]":
+        """Return the domain with parts of one's own: one, or the same in several drawn lights."""
+        from gelgap.assets.image_file import read_image
+        from gelgap.assets.toml_file import named_in_errors
+        from gelgap.domains.domain import Domain
+
+        base = self.what[0] if self.what else "mb0i0"
+        if len(self.what) > 1 or base in DATA_SETS or base.endswith(".toml"):
+            raise ValueError(
+                f"--name = {self.name!r}: names one domain; give it with the name of one domain or none, "
+                "not with a data set or a file"
+            )
+        elastomer = opt.named(sim.Elastomer, self.elastomer or Domain.parse(base).elastomer)
         recipe = domains.own_recipe(
             self.name,
             self.path,
-            base=self.domains[0] if self.domains else "mb0i0",
-            elastomer=self.elastomer and opt.named(sim.Elastomer, self.elastomer),
+            base=base,
+            elastomer=sim.Elastomer(**elastomer.model_dump() | gel),
             illumination=self.illumination and opt.named(render.Illumination, self.illumination),
             **settings,
         )
         if self.lights_like is None:
-            return (recipe,), ()
+            return (recipe,)
         like, kinds = read_image(self.lights_like), self.illumination and [recipe.illumination]
         with named_in_errors(self.lights_like):
-            return domains.in_drawn_lights(recipe, like, kinds), ()
+            return domains.in_drawn_lights(recipe, like, kinds)

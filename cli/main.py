@@ -1,6 +1,7 @@
 """`gelgap`: parse the command line, run one command, turn errors into one line and an exit code."""
 
 import contextlib
+import inspect
 import os
 import re
 import shlex
@@ -24,6 +25,7 @@ from gelgap.cli.export_model import ExportModel
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
+from gelgap.cli.keys import advice_on_keys, keys_listing
 from gelgap.cli.options import Command, output_folder
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
@@ -79,13 +81,27 @@ def parse(words: Sequence[str]) -> Command:
         fail(f"a value is empty: gelgap {shlex.join(words)}", EXIT_BAD_INPUT)
     name = next(iter(words), None)
     if name in COMMANDS:
-        return tyro.cli(COMMANDS[name], prog=f"gelgap {name}", args=words[1:])
+        return _parse_command(name, tuple(words[1:]))
     # Of the list of commands each has a line; its own --help has all.
     listed = [
         Annotated[command, tyro.conf.subcommand(name, description=command.__doc__.partition("\n")[0])]
         for name, command in COMMANDS.items()
     ]
     return tyro.cli(Union[tuple(listed)], prog="gelgap", description=DESCRIPTION, args=words)  # noqa: UP007
+
+
+def _parse_command(name: str, words: tuple[str, ...]) -> Command:
+    command = COMMANDS[name]
+    # Keys are fields of models, which take their time to load.
+    asks_for_help = not {"-h", "--help"}.isdisjoint(words)
+    keys = command.keys() if asks_for_help else {}
+    description = f"{inspect.cleandoc(command.__doc__)}\n{keys_listing(keys)}" if keys else None
+    try:
+        return tyro.cli(command, prog=f"gelgap {name}", args=words, description=description)
+    except SystemExit as stop:
+        if stop.code == EXIT_BAD_INPUT and (advice := advice_on_keys(words, command.keys())):
+            fail(advice, EXIT_BAD_INPUT)
+        raise
 
 
 def fail(message: str, exit_code: int) -> NoReturn:

@@ -1,6 +1,7 @@
 """What the options of several commands share: types with their checks, how --help shows them, and settings by name."""
 
 import os
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from gelgap import domains, render, sim
+from gelgap import domains, render
+from gelgap.cli.keys import Meanings
 
 Check = Callable[[Any], object]
 """Raises ValueError or OSError for a value that cannot be used: what is wrong, and what would be right.
@@ -27,15 +29,20 @@ class Command:
     """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
 
+    @classmethod
+    def keys(cls) -> dict[str, Meanings]:
+        """Return what its --set takes, by what the keys belong to; a command without --set has none."""
+        return {}
+
     def run(self, started: float) -> None:
         """Do it and print what came out; `started` is when the process began, by `time.perf_counter`."""
         raise NotImplementedError
 
 
-def optional(metavar: str, default: str = "", aliases: tuple[str, ...] = (), help: str | None = None) -> Any:
+def optional(metavar: str, default: str = "", help: str | None = None) -> Any:
     """Return the annotation of an option that may be left out, with what happens then as --help shows it."""
     hint = f"(default: {default})" if default else ""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, aliases=aliases, help=help)
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, help=help)
 
 
 def between(low: float, high: float, unit: str = "") -> Check:
@@ -96,7 +103,6 @@ def _check_takes_files(folder: Path) -> None:
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off unless it is given."""
 Quality = Literal["draft", "standard", "fine"]
-MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
 Seed = Annotated[int, between(0, 2**63 - 1)]
 PictureSize = Annotated[
     tuple[int, int],
@@ -116,86 +122,57 @@ OwnBackbone = Annotated[
 LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 
-def scheduler_address(address: str) -> None:
-    """Check `synchronous`, or an address with a port."""
+def workers(given: str) -> None:
+    """Check a number of processes, `synchronous`, or an address with a port."""
     from gelgap.domains.generation.cluster import check_scheduler
 
-    check_scheduler(address)
+    if re.fullmatch(r"[+-]?\d+", given):
+        between(1, 4096)(int(given))
+    else:
+        check_scheduler(given)
+
+
+Workers = Annotated[
+    str | None,
+    optional(
+        "N | ADDRESS",
+        "one process per core",
+        help="Processes on this machine, or the address of a Dask scheduler, such as tcp://host:8786; `synchronous`: "
+        "this process.",
+    ),
+    workers,
+]
+
+
+def processes_and_scheduler(given: str | None) -> tuple[int | None, str | None]:
+    """Return what --workers says: a number of processes or a scheduler, the other None."""
+    return (int(given), None) if given and given.isdigit() else (None, given)
 
 
 @dataclass(frozen=True)
 class GenerationOptions:
     """Where and how domains are generated."""
 
-    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster"), scheduler_address] = None
-    """Address of a Dask scheduler, such as tcp://host:8786; `synchronous` runs in this process."""
-    workers: Annotated[int | None, optional("N", "one per core"), between(1, 4096)] = None
-    """Processes of the local cluster."""
+    workers: Workers = None
     dry_run: Flag = False
     """Only say what would be done: solves, frames, estimated time and disk."""
     overwrite: Flag = False
     """Replace domains under --out that hold another configuration."""
 
-    def check(self) -> None:
-        """Raise ValueError if options exclude each other."""
-        if self.workers is not None and self.scheduler is not None:
-            raise ValueError(
-                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
-            )
-
     def generate(self, recipes: "Sequence[domains.DomainRecipe]", out: Path) -> None:
         """Generate domains, and print the report."""
+        processes, scheduler = processes_and_scheduler(self.workers)
         report = domains.generate_recipes(
-            recipes, out, scheduler=self.scheduler, workers=self.workers, overwrite=self.overwrite
+            recipes, out, scheduler=scheduler, workers=processes, overwrite=self.overwrite
         )
         print(report)
 
+    def estimate(self, recipes: "Sequence[domains.DomainRecipe]") -> None:
+        """Print what generating domains would take."""
+        print(domains.estimate(recipes, processes_and_scheduler(self.workers)[0]))
+
 
 LOCALLY = GenerationOptions()
-
-
-@dataclass(frozen=True)
-class IndenterOptions:
-    """What is pressed into the gel: a shape, and those of its sizes that are not as by default."""
-
-    indenter: str = "sphere"
-    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
-    indenter_diameter_mm: Annotated[float | None, optional("MM", "3; cone: 6"), between(0.5, 50, "mm")] = None
-    """Diameter in mm, of sphere, cylinder, cone or edge."""
-    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0")] = None
-    """Rounding of a cylinder's face, of the ends of an edge, of a box, or of a mesh, in mm."""
-    half_angle_deg: Annotated[float | None, optional("DEG", "60")] = None
-    """Angle between axis and flank of a cone, in degrees."""
-    tip_radius_mm: Annotated[float | None, optional("MM", "0.3")] = None
-    """Radius of a cone's tip in mm."""
-    length_mm: Annotated[float | None, optional("MM", "6")] = None
-    """Length of an edge, a lying cylinder, in mm."""
-    size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "4 3")] = None
-    """Size of a box along x and y in mm."""
-    diameters_mm: Annotated[tuple[float, float, float] | None, optional("MM MM MM", "4 3 3")] = None
-    """Diameters of an ellipsoid along x, y and z in mm."""
-    yaw_deg: Annotated[float | None, optional("DEG", "0")] = None
-    """Turn of the indenter about the vertical axis in degrees, from +x towards +y."""
-    tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0")] = None
-    """Tilt of the indenter about x and about y in degrees."""
-    flip: Flag = False
-    """Press the top (+z) of a mesh file instead of its bottom."""
-    mesh_unit: Annotated[MeshUnit | None, optional("{mm,cm,m,inch,um}", "the file's own; mm")] = None
-    """Unit of a mesh file that does not state it."""
-
-    def make(self) -> "sim.Indenter":
-        """Return the indenter."""
-        given = {
-            name: value for name, value in vars(self).items() if value is not None and value is not False
-        }
-        name = given.pop("indenter")
-        for option, field in (("indenter_diameter_mm", "diameter_mm"), ("mesh_unit", "unit")):
-            if option in given:
-                given[field] = given.pop(option)
-        return sim.load_indenter(name, **given)
-
-
-SPHERE = IndenterOptions()
 
 
 def named(kind: Any, name: str) -> Any:

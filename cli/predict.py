@@ -25,7 +25,7 @@ class Predict(opt.Command):
 
     For example:
       gelgap predict tuned.pt pressed.png harder.png --reference rest.png
-      gelgap predict tuned.pt own/mine/press-1 --reference own/mine/press-1/reference.png --csv forces.csv
+      gelgap predict tuned.pt own/mine/press-1 --reference own/mine/press-1/reference.png --out forces.csv
       gelgap predict tuned.pt --camera 0 --reference rest.png
     """
 
@@ -37,8 +37,8 @@ class Predict(opt.Command):
     """Pictures (PNG, JPEG, BMP or TIFF), or folders of them."""
     camera: Annotated[int | None, opt.optional("INDEX"), opt.between(0, 99)] = None
     """In place of files, predict each picture of this camera until Ctrl-C."""
-    csv: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".csv")] = None
-    """Write the rows here, too, with the labels' names (fz_n: Fz in N) as the header."""
+    out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".csv")] = None
+    """Write the rows to this CSV file, too, with the labels' names (fz_n: Fz in N) as the header."""
     backbone: opt.OwnBackbone = None
 
     def run(self, started: float) -> None:
@@ -59,10 +59,10 @@ class Predict(opt.Command):
                 for row in adapt.predict_each(model, adapt.camera_pictures(self.camera), reference):
                     print(_text([row], header=not rows), flush=True)
                     rows.append(row)
-        if self.csv is not None:
-            with whole_file(self.csv) as temporary:
+        if self.out is not None:
+            with whole_file(self.out) as temporary:
                 _table(rows).to_csv(temporary, index=False, float_format="%.6g")
-            print(f"wrote {self.csv}")
+            print(f"wrote {self.out}")
 
 
 def _table(rows: list[dict[str, object]]) -> "pd.DataFrame":

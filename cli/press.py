@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ import tyro
 
 from gelgap import render, sim, view
 from gelgap.cli import options as opt
+from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
@@ -33,53 +33,34 @@ class Press(opt.Command):
     Force is what the indenter exerts on the sensor, in N: Fz < 0 under compression, dragging towards +x gives Fx > 0.
 
     For example:
-      gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
+      gelgap press --set young_modulus_mpa=0.3 poisson_ratio=0.49 --depth-mm 0.6 --shear-mm 0.3 0 --json
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
-      gelgap press --depth-mm 0.5 --twist-deg 10
-      gelgap press --indenter cone --half-angle-deg 60 --tip-radius-mm 0.4 --depth-mm 0.5 --traction map.npz
+      gelgap press --depth-mm 0.5 --turn-deg 0 0 10
+      gelgap press --indenter cone --set half_angle_deg=60 tip_radius_mm=0.4 friction=0.5 --traction map.npz
     """
 
     fills_cache = True
 
     elastomer: Annotated[str | None, opt.optional("NAME")] = None
-    """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
-    young_modulus_mpa: Annotated[float | None, opt.optional("MPA", "0.3, or the preset's")] = None
-    """Young's modulus in MPa."""
-    poisson_ratio: Annotated[float | None, opt.optional("NU", "0.49, or the preset's")] = None
-    """Poisson's ratio, below 0.5."""
-    thickness_mm: Annotated[float | None, opt.optional("MM", "3, or the preset's")] = None
-    """Thickness of the pad in mm."""
-    friction: Annotated[float | None, opt.optional("MU", "0.8, or the preset's")] = None
-    """Coulomb friction coefficient between indenter and membrane."""
-    static_friction: Annotated[float | None, opt.optional("MU", "friction, or the preset's")] = None
-    """Friction coefficient before slip, at least --friction, to which it falls over 0.05 mm of slip."""
-    pad_size_mm: Annotated[tuple[float, float] | None, opt.optional("MM MM", "24 20, or the preset's")] = None
-    """Size of the pad along x and y in mm."""
-    mount_stiffness_n_per_mm: Annotated[float | None, opt.optional("N/MM", "rigid, or the preset's")] = None
-    """Stiffness of the rig, a spring in series with the gel, in N/mm."""
-    strain_energy: Annotated[
-        str | None, opt.optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's")
-    ] = None
-    """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = opt.SPHERE
+    """Elastomer preset or TOML file (see: gelgap presets elastomers), of which --set changes values."""
+    indenter: str = "sphere"
+    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
+    set: Set = ()
+    """Values of the gel and sizes of the body, named as in a TOML file; all keys are listed above."""
     depth_mm: Annotated[float | None, opt.optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
-    normal_force_n: Annotated[
-        float | None, opt.optional("N", aliases=("--force-n",)), opt.between(1e-6, 1e4, "N")
-    ] = None
+    force_n: Annotated[float | None, opt.optional("N"), opt.between(1e-6, 10_000, "N")] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
-    shear_x_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
-    """Commanded sideways travel along x after the press, in mm."""
-    shear_y_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
-    """Commanded sideways travel along y (down in the image) after the press, in mm."""
-    twist_deg: float = 0.0
-    """Turn of the indenter about the vertical on its way sideways, or after the press, degrees from +x towards +y."""
-    roll_deg: tuple[float, float] = (0.0, 0.0)
-    """Turn about x and y on the same way, in degrees: about a sphere's centre, another body's lowest point."""
-    point_x_mm: float = 0.0
-    """Contact point along x in mm; 0 is the centre of the pad."""
-    point_y_mm: float = 0.0
-    """Contact point along y in mm."""
+    shear_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y"), opt.between(-50, 50, "mm")] = (
+        0.0,
+        0.0,
+    )
+    """Commanded sideways travel along x and y (down in the image) after the press, in mm."""
+    turn_deg: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Turn on the way sideways, or after the press: roll about x and y, twist about the vertical from +x towards +y, in
+    degrees; about a sphere's centre, another body's lowest point."""
+    point_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (0.0, 0.0)
+    """Contact point along x and y in mm; 0 0 is the centre of the pad."""
     quality: opt.Quality = "standard"
     """How finely MuJoCo's mesh and load steps resolve the contact."""
     json: opt.Flag = False
@@ -93,17 +74,28 @@ class Press(opt.Command):
     mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
+    @classmethod
+    def keys(cls) -> dict[str, Meanings]:
+        return {"gel": gel_keys(), "body": body_keys()}
+
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        if self.depth_mm is not None and self.normal_force_n is not None:
-            raise ValueError("depth_mm and normal_force_n are both given: give one of them")
+        if self.depth_mm is not None and self.force_n is not None:
+            raise ValueError("depth_mm and force_n are both given: give one of them")
+        values = given(self.set, self.keys())
         base = opt.named(sim.Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
-        elastomer = sim.Elastomer(**base | self._given(sim.Elastomer.model_fields))
-        indenter = self.body.make()
-        pose = sim.Pose(**{"depth_mm": DEFAULT_DEPTH_MM} | self._given(sim.Pose.__dataclass_fields__))
-        point_mm = (pose.point_x_mm, pose.point_y_mm)
-        if self.normal_force_n is not None:
-            pressed = sim.pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
+        elastomer = sim.Elastomer(**base | values["gel"])
+        indenter = sim.load_indenter(self.indenter, **values["body"])
+        roll_x_deg, roll_y_deg, twist_deg = self.turn_deg
+        pose = sim.Pose(
+            DEFAULT_DEPTH_MM if self.depth_mm is None else self.depth_mm,
+            *self.shear_mm,
+            *self.point_mm,
+            roll_deg=(roll_x_deg, roll_y_deg),
+            twist_deg=twist_deg,
+        )
+        if self.force_n is not None:
+            pressed = sim.pose_for_force(elastomer, indenter, self.force_n, self.point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
         state = sim.solve_pose(elastomer, indenter, pose, self.quality)
         found = state.diagnostics
@@ -117,7 +109,9 @@ class Press(opt.Command):
             sensor, light = render.Sensor.preset("paper"), render.Illumination.preset("i0")
             renderer = render.MembraneRenderer(sensor, light, MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-            view.save_mesh(self.mesh, state, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture)
+            view.save_mesh(
+                self.mesh, state, self.point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture
+            )
         report = {
             "indenter": indenter.label,
             "force_n": state.force_n.tolist(),
@@ -137,10 +131,6 @@ class Press(opt.Command):
             print(json.dumps(report | {"settings": settings}))
         else:
             print(self._table(pose.depth_mm, report))
-
-    def _given(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return the options of these names that are set."""
-        return {name: value for name in names if (value := getattr(self, name, None)) is not None}
 
     def _table(self, depth_mm: float, report: dict[str, Any]) -> str:
         force = zip("xyz", report["force_n"], report["force_error_n"], strict=True)

@@ -11,8 +11,6 @@ from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
-# Of --quick: a network that learns little.
-QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
 
 
 @dataclass(frozen=True)
@@ -23,9 +21,9 @@ class Pretrain(opt.Command):
     domains is held out, and the network is evaluated on it. Domains go to out/domains; run the command again to resume.
 
     For example:
-      gelgap pretrain --domains 60 --frames-per-domain 60 --out pretrained
-      gelgap pretrain --domains 60 --frames-per-domain 60 --without light --out without-light --dry-run
-      gelgap pretrain --domains 60 --frames-per-domain 60 --stream --out streamed
+      gelgap pretrain --domains 60 --frames 60 --out pretrained
+      gelgap pretrain --domains 60 --frames 60 --without light --out without-light --dry-run
+      gelgap pretrain --domains 60 --frames 60 --stream --out streamed
     """
 
     when_stopped = "finished shards, solves and epochs are kept, run the same command again to go on"
@@ -35,8 +33,8 @@ class Pretrain(opt.Command):
     """Folder for the domains and the checkpoint."""
     domains: Annotated[int, opt.between(2, 9999)] = 60
     """How many domains are drawn."""
-    frames_per_domain: Annotated[int, opt.between(2, 100_000)] = 60
-    """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
+    frames: Annotated[int, opt.between(2, 100_000)] = 60
+    """Frames of a domain: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Factors that are the same in every domain instead of drawn: an ablation."""
     ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
@@ -50,37 +48,32 @@ class Pretrain(opt.Command):
     stream: opt.Flag = False
     """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and four new
     lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
-    quick: opt.Flag = False
-    """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
-        self.generation.check()
         profile = opt.named(adapt.Profile, self.profile)
         ranges = (
             domains.PretrainingRanges.load(self.ranges)
             if self.ranges
             else domains.PretrainingRanges.default()
         )
-        number, frames, size_px = self.domains, self.frames_per_domain, self.size
-        if self.quick:
-            ranges = ranges.in_quick_form()
-            profile = profile.replace(source_epochs=QUICK_EPOCHS)
-            number, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
         width, height = profile.image_size_px
-        if size_px[0] < width or size_px[1] < height:
+        if self.size[0] < width or self.size[1] < height:
             raise ValueError(
-                f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile "
+                f"--size = {self.size[0]} {self.size[1]}: must be at least the {width} × {height} px of profile "
                 f"{profile.name}"
             )
-        drawn = {"without": self.without, "seed": self.seed, "size_px": size_px, "quality": self.quality}
+        drawn = {"without": self.without, "seed": self.seed, "size_px": self.size, "quality": self.quality}
         if self.stream:
-            self._train_on_stream(domains.PressStream(ranges, **drawn), profile, number * frames)
+            self._train_on_stream(domains.PressStream(ranges, **drawn), profile, self.domains * self.frames)
             return
-        recipes = domains.pretraining_recipes(number, frames, ranges, **drawn)
-        print(domains.estimate(recipes, self.generation.workers))
-        print(f"training {profile.source_epochs} epochs of at most {number * frames} frames", flush=True)
+        recipes = domains.pretraining_recipes(self.domains, self.frames, ranges, **drawn)
+        self.generation.estimate(recipes)
+        print(
+            f"training {profile.source_epochs} epochs of at most {self.domains * self.frames} frames",
+            flush=True,
+        )
         if self.generation.dry_run:
             return
         self.generation.generate(recipes, self.out / "domains")

@@ -26,7 +26,7 @@ class Render(opt.Command):
 
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
     """The PNG to write."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
@@ -39,7 +39,7 @@ class Render(opt.Command):
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
     height_map: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy", ".png")] = None
     """Also write how far the membrane in each pixel stands towards the camera: mm in a .npy, codes in a 16-bit .png."""
-    noise_seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
+    seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
     """Add the camera's shot and read noise, drawn from this seed."""
     quality: opt.Quality = "standard"
     """How finely light and shadows are sampled."""
@@ -67,11 +67,11 @@ class Render(opt.Command):
             self._write_height_map(renderer.height_map_mm(*membrane, frame_name=self.state.name))
         if self.linear is not None:
             np.save(self.linear, linear)
-        if self.noise_seed is not None:
-            linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
-        if not cv2.imwrite(str(self.output), render.encode(linear)[..., ::-1]):
-            raise RuntimeError(f"{self.output} could not be written")
-        print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))
+        if self.seed is not None:
+            linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.seed))
+        if not cv2.imwrite(str(self.out), render.encode(linear)[..., ::-1]):
+            raise RuntimeError(f"{self.out} could not be written")
+        print(f"wrote {self.out}" + (f" and {self.linear}" if self.linear else ""))
 
     def _write_height_map(self, height_mm: "np.ndarray") -> None:
         import numpy as np

@@ -30,7 +30,7 @@ class Report(opt.Command):
       gelgap report runs
     """
 
-    runs: Annotated[tyro.conf.Positional[Path], finished_runs]
+    folder: Annotated[tyro.conf.Positional[Path], finished_runs]
     """Folder with finished runs, at any depth."""
     out: Annotated[Path | None, opt.optional("PATH", "the folder of the runs"), opt.output_folder] = None
     """Folder for the report."""
@@ -40,7 +40,7 @@ class Report(opt.Command):
         from gelgap.assets.locks import sole_use
         from gelgap.benchmarks.adaptation.report import is_benchmark, write_benchmark_report
 
-        write = write_benchmark_report if is_benchmark(self.runs) else adapt.write_report
-        LOG.info("drawing the report of %s", self.runs)
-        with sole_use(self.out or self.runs):
-            print(f"wrote {write(self.runs, self.out)}")
+        write = write_benchmark_report if is_benchmark(self.folder) else adapt.write_report
+        LOG.info("drawing the report of %s", self.folder)
+        with sole_use(self.out or self.folder):
+            print(f"wrote {write(self.folder, self.out)}")

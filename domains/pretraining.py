@@ -49,7 +49,6 @@ _LOGARITHMIC = {
     "full_well_electrons",
     "read_noise_electrons",
 }
-_QUICK = {"presses": 1, "depths": 1, "sphere_diameter_mm": (3.0, 3.0), "deepest_by_thickness": (0.05, 0.05)}
 
 
 class PretrainingRanges(Settings):
@@ -104,10 +103,6 @@ class PretrainingRanges(Settings):
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
             return cls(**(default | given))
-
-    def in_quick_form(self) -> Self:
-        """Return these ranges with one shallow press of a small sphere: to see that all works, not to learn."""
-        return type(self)(**(self.model_dump() | _QUICK))
 
 
 def pretraining_recipes(

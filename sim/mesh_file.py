@@ -93,7 +93,7 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
         ]
         raise ValueError(
             f"is {size_mm:.6g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
-            f"give --mesh-unit (in a TOML file: unit): {', '.join(served) or 'no unit makes it so'}"
+            f"set unit: {', '.join(served) or 'no unit makes it so'}"
         )
     mesh.vertices *= size_mm / size
     if len(bodies := scene.graph.nodes_geometry) > 1:
@@ -159,7 +159,7 @@ def _convex_mm(mesh: "Trimesh") -> float:
         raise ValueError(
             f"must be convex where it touches the gel: its surface lies {off_mm:.2g} mm inside its convex hull, of "
             f"{_CONVEX_WITHIN_MM:g} mm at most, at x, y = {place[0]:.2f}, {place[1]:.2f} mm, {place[2]:.2f} mm above "
-            "the lowest point; press its other side, with --flip or without (in a TOML file: flip)"
+            "the lowest point; press its other side, with flip = true or without"
         )
     return float(levels[convex])
 

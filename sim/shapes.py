@@ -3,7 +3,7 @@
 import math
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
 from pydantic import Field
@@ -281,9 +281,18 @@ class ConvexMesh(RoundedHull):
 
 AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh
 """Type of a field that holds any shape; pydantic tells shapes apart by the names of their fields."""
-SHAPES: dict[str, type[Indenter]] = {
-    shape.shape: shape for shape in (Sphere, Cylinder, Cone, Edge, Box, Ellipsoid)
-}
+BODIES: tuple[type[Indenter], ...] = get_args(AnyIndenter)
+SHAPES = {body.shape: body for body in BODIES if body is not ConvexMesh}
+_OF_THE_FILE = ("hull_mm", "above_mm")
+
+
+def fields_of(body: type[Indenter]) -> dict[str, str]:
+    """Return the fields that a TOML file may give of a kind of body, and what they mean."""
+    described = ((name, field.description or "") for name, field in body.model_fields.items())
+    fields = {name: meaning for name, meaning in described if name not in _OF_THE_FILE}
+    if body is ConvexMesh:
+        fields["unit"] = "Unit of a mesh file that does not state it: mm, cm, m, inch or um."
+    return fields
 
 
 def load_indenter(name: str, **fields: Any) -> AnyIndenter:
@@ -323,12 +332,10 @@ def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) ->
 
 
 def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) -> Any:
-    known = [field for field in shape.model_fields if field not in ("hull_mm", "above_mm")]
-    known += [] if mesh is None else ["unit"]
+    known = fields_of(shape)
     for name in fields:
         if name not in known:
-            named = "--mesh-unit (in a TOML file: unit)" if name == "unit" else name
-            raise ValueError(f"{named}: a {shape.shape} has none; it has {', '.join(known)}")
+            raise ValueError(f"{name}: a {shape.shape} has none; it has {', '.join(known)}")
     return shape(**fields) if mesh is None else shape.load(mesh, **fields)
 
 

@@ -18,6 +18,15 @@ FEWEST_POSES = {
 }
 
 
+SMALL_RANGES = """
+presses = 1
+depths = 1
+sphere_diameter_mm = [3.0, 3.0]
+deepest_by_thickness = [0.05, 0.05]
+"""
+"""A file for `gelgap pretrain --ranges`: one shallow press of a small sphere."""
+
+
 def coarsen(patch: pytest.MonkeyPatch) -> None:
     """Make draft solves take half their time, a third of it where MuJoCo solves alone, and standard ones as long."""
     wider = {"across": 2.0, "ring_growth": 2.6, "layer_growth": 2.4}

@@ -34,8 +34,9 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 # One person is to hold the house in the head: what counts first is its doors. Ceilings fall from release to release.
 MOST_PUBLIC_NAMES = 150
-MOST_ARGUMENTS = 173
-MOST_LINES = 34_600
+MOST_ARGUMENTS = 124
+MOST_NAMES_OF_ARGUMENTS = 76
+MOST_LINES = 34_800
 MOST_FILES = 205
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
@@ -128,7 +129,9 @@ def test_public_names_are_few() -> None:
 
 
 def test_options_and_arguments_of_the_command_line_are_few() -> None:
-    assert sum(len(list(option_names(command))) for command in COMMANDS.values()) <= MOST_ARGUMENTS
+    typed = [name for command in COMMANDS.values() for name in option_names(command)]
+    assert len(typed) <= MOST_ARGUMENTS
+    assert len(set(typed)) <= MOST_NAMES_OF_ARGUMENTS
 
 
 def option_names(options: type) -> Iterator[str]:

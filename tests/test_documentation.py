@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
-from quick_solves import coarsen, shrink_libraries
+from quick_solves import SMALL_RANGES, coarsen, shrink_libraries
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
 
 from gelgap.adapt import Profile
@@ -29,13 +29,13 @@ from gelgap.cli.main import COMMANDS, main, parse
 
 # --- how each is made quick ------------------------------------------------------------------------------------
 
-SMALL = "--quality draft --size 64 48 --scheduler synchronous"
+SMALL = "--quality draft --size 64 48 --workers synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
     r"(--mm-per-px \S+) -o": r"\1 --held-out-parts 2 -o",
     r"--sensor start.toml -o": "--sensor start.toml --held-out-parts 0 -o",
-    r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
+    r"--domains 60 --frames 60": f"--domains 2 --frames 12 --ranges small.toml {SMALL}",
     r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
     r"from-force 20": "from-force 4",
@@ -43,10 +43,10 @@ QUICKEST = {
     r"PressStream\(seed=0, size_px=\(320, 240\), stop=64": 'PressStream("small.toml", seed=0, size_px=(48, 36), stop=8',
     r"PoseRanges\(0.1, 1.0, travel_mm=0.6\)": "PoseRanges(0.05, 0.55, travel_mm=0.25)",
     r'TactileSensor\("b0"': 'TactileSensor("b0", deepest_mm=0.45, farthest_mm=0.15',
-    r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
-    r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
-    r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
-    r"tuned.pt --profile cpu --split-by clip": "tuned.pt --profile smoke",
+    r"generate paper --out paper-data$": "generate paper --out paper-data --dry-run",
+    r"generate sweep.toml": f"generate sweep.toml {SMALL}",
+    r"generate gap.toml": f"generate gap.toml {SMALL}",
+    r"tuned.pt --profile cpu --set split_by=clip": "tuned.pt --profile smoke",
     r"--profile cpu": "--profile smoke",
     r"--mm-per-px 0.03": "--mm-per-px 0.12",
     r"--test later/later-clips --clips 7": "--test later/later-clips --clips 2",
@@ -72,12 +72,12 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",
     r"gelgap (generate .*--lights-like|adapt --source drawn)": "needs a picture; tests/cli has one",
-    r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
+    r"gelgap generate .* --workers tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap predict tuned.pt (--camera|p\w+)": "needs pictures or a camera; tests/adapt/test_own_backbone.py runs it",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
     r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
-    r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
+    r"gelgap (benchmark sensors|calibrate gelsight)": "needs the package taxim, which tests do not install",
     r"git clone": "downloads; tests/real_clones.py writes such clones in small",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
@@ -99,14 +99,6 @@ points_y_mm = [-1.0, 1.0]
 depths_mm = [0.2, 0.4]
 radii_mm = [0.1]
 angles_deg = [0, 180]
-"""
-
-
-SMALL_PRESS = """
-presses = 1
-depths = 1
-sphere_diameter_mm = [3.0, 3.0]
-deepest_by_thickness = [0.05, 0.05]
 """
 
 
@@ -266,7 +258,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     """Give a folder in which the README's commands have run."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "tiny.toml").write_text(TINY_PATH)
-    (folder / "small.toml").write_text(SMALL_PRESS)
+    (folder / "small.toml").write_text(SMALL_RANGES)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(Profile, "preset", shorter(Profile.preset))

@@ -80,7 +80,7 @@ class Command:
 
 GENERATE = "generate mb0i0 --path {inputs}/path.toml --quality draft --size 64 48"
 COMMANDS = {
-    "generate": Command(f"{GENERATE} --scheduler synchronous", finished_shards, files_of),
+    "generate": Command(f"{GENERATE} --workers synchronous", finished_shards, files_of),
     "adapt": Command(
         "adapt --source {inputs}/pictures --target {inputs}/published --method source-only dan"
         " --profile {inputs}/profile.toml",
@@ -280,7 +280,7 @@ def test_generation_whose_scheduler_ends_stops_with_a_sentence(
         subprocess.Popen([sys.executable, "-m", "dask", *words, "--no-dashboard"], **quiet) for words in ends
     )
     try:
-        command = Command(f"{GENERATE} --scheduler {address}", finished_shards, files_of)
+        command = Command(f"{GENERATE} --workers {address}", finished_shards, files_of)
         child = Child.begin(command, inputs, tmp_path)
         child.wait_for(lambda: finished_shards(tmp_path))
         scheduler.kill()

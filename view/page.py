@@ -195,7 +195,7 @@ class Page:
         if self._compare.source is None:
             return {}
         content = recipe_toml(self._compare.source.configuration, target.configuration)
-        self._readout.say("saved gap.toml; make the data: gelgap generate --recipe gap.toml --out data")
+        self._readout.say("saved gap.toml; make the data: gelgap generate gap.toml --out data")
         return {"gap.toml": content}
 
 

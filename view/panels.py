@@ -101,7 +101,7 @@ class ComparePanel:
         self.keep = gui.add_button("Keep this as the source")
         self.swap = gui.add_button("Swap source and target", disabled=True)
         self.recipe = gui.add_button(
-            "Save both as a recipe", disabled=True, hint="gelgap generate --recipe gap.toml --out data"
+            "Save both as a recipe", disabled=True, hint="gelgap generate gap.toml --out data"
         )
         self._pair = PicturePair(gui, "source", "target")
         self.figures = gui.add_html("")

@@ -56,7 +56,7 @@ def sensor_files(sensor: Sensor, name: str = "sensor") -> dict[str, bytes]:
 
 
 def recipe_toml(source: Configuration, target: Configuration, path: str = "cpu") -> bytes:
-    """Return the file of a source and a target that `gelgap generate --recipe` takes.
+    """Return the file of a source and a target that `gelgap generate` takes.
 
     Raises
     ------

@@ -56,7 +56,7 @@ class Estimate:
         if self.exact:
             lines.append(
                 "library  poses are interpolated, at most two solves more where its error is too large; each solved "
-                f"by itself (--exact): {len(self.exact.plan.solves)} solves, about {self.exact.wall}"
+                f"by itself (--set interpolated=false): {len(self.exact.plan.solves)} solves, about {self.exact.wall}"
             )
         lines += [f"indenter {line}" for line in _by_indenter(plan)]
         lines += [f"note     {note}" for note in force_notes(plan.recipes)]
@@ -120,7 +120,7 @@ def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
         f"the deepest press of {recipe.name}{others} takes about {force_n:.3g} N, beyond the declared Fz = "
         f"{recipe.force_range_n[2][0]:g} N: training refuses such frames; declare a wider range, "
         f"for gelgap pretrain as force_range_n = [[-{wide}, {wide}], [-{wide}, {wide}], [-{wide}, 0]] in the file of "
-        f"--ranges, for gelgap generate as --force-range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0"
+        f"--ranges, for gelgap generate as --range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0"
     ]
 
 

@@ -81,7 +81,7 @@ class GenerationReport:
         if self.outside_range:
             lines.append(
                 f"{self.outside_range} frames have a force outside the declared range; training will refuse them: "
-                "declare a wider range (--force-range, or force_range_n) or change the gel"
+                "declare a wider range (--range, or force_range_n) or change the gel"
             )
         for name, errors in self.interpolation.items():
             told = (
@@ -90,7 +90,9 @@ class GenerationReport:
                 "{picture_rms_codes:.1f} of 255"
             ).format(name, **errors)
             if not errors["within_bounds"]:
-                told += ": more than a library promises (2 %, 4 µm); --exact solves each pose"
+                told += (
+                    ": more than a library promises (2 %, 4 µm); --set interpolated=false solves each pose"
+                )
             lines.append(told)
         return "\n".join(lines)
 

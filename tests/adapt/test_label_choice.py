@@ -219,11 +219,11 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
     ]
     arguments += ["--method", "dsan", "--out", str(tmp_path / "runs")]
     with pytest.raises(SystemExit) as stop:
-        main([*arguments, "--split-by", "clip"])
+        main([*arguments, "--set", "split_by=clip"])
     assert stop.value.code == 2
     assert "needs contact classes" in capsys.readouterr().err
     choice = ["--labels", "fz_n", "--range", "fz_n=-12:0.5", "--classes", "from-force", "4"]
-    main([*arguments, *choice, "--split-by", "clip", "--stratify", "object"])
+    main([*arguments, *choice, "--set", "split_by=clip", "stratify_by=object"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "one+two → late, 8 target test frames"
     assert lines[1].split() == ["MAE", "Fz/N", "mean", "R²", "Fz"]

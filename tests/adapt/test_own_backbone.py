@@ -96,7 +96,7 @@ def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_fi
     assert json.loads(record.read_text())["profile"]["backbone"] == use_backbone("net.py:maps")
     model = str(record.with_name("model.pt"))
     command = ["predict", model, "real/0.png", "--reference", "real/reference.png"]
-    main([*command, "--backbone", "net.py:maps", "--csv", "found.csv"])
+    main([*command, "--backbone", "net.py:maps", "--out", "found.csv"])
     assert Path("found.csv").read_text().startswith("picture,fx_n,fy_n,fz_n,note\nreal/0.png,")
     main(["export-model", model, "-o", "model.onnx", "--backbone", "net.py:maps"])
     assert "wrote model.onnx: picture and reference of 40×32 px" in capsys.readouterr().out

@@ -14,8 +14,8 @@ from gelgap.cli.main import COMMANDS, main
 
 WRONG: dict[str, tuple[str, str]] = {
     "between": (
-        "press --indenter-diameter-mm nan",
-        "--indenter-diameter-mm = 'nan': must lie in [0.5, 50] mm",
+        "press --force-n nan",
+        "--force-n = 'nan': must lie in [1e-06, 10000] N",
     ),
     "input_folder": ("export no-such-folder --out o", "no-such-folder"),
     "output_file": (
@@ -23,11 +23,12 @@ WRONG: dict[str, tuple[str, str]] = {
         "--save = 'file.txt/below.npz': the folder file.txt does not",
     ),
     "output_folder": ("generate mb0i0 --out file.txt/below", "file.txt is a file; name a folder"),
-    "scheduler_address": ("demo --scheduler foo", "--scheduler = 'foo': scheduler 'foo' must be synchronous"),
+    "workers": ("demo --workers foo", "--workers = 'foo': scheduler 'foo' must be synchronous"),
+    "check_what": ("generate mb9i0 --out o", "what = 'mb9i0': domain 'mb9i0' is unknown"),
     "list_presets": ("presets gels", "kind = 'gels'"),
-    "force_ranges": ("generate mb0i0 --out o --force-range fz_n=0", "--force-range = 'fz_n=0'"),
+    "force_ranges": ("generate mb0i0 --out o --range fz_n=0", "--range = 'fz_n=0'"),
     "label_ranges": ("adapt --source . --target . --range fz_n=0", "--range = 'fz_n=0'"),
-    "finished_runs": ("report no-such-folder", "runs = 'no-such-folder'"),
+    "finished_runs": ("report no-such-folder", "folder = 'no-such-folder'"),
     "check_selector": ("adapt --source . --target . --select magic", "--select = 'magic'"),
     "check_mm_per_px": (
         "calibrate p.toml --reference r.png --mm-per-px 15.9 -o f.toml",

@@ -150,7 +150,9 @@ def test_a_scale_that_cannot_be_is_refused(
     assert said in capsys.readouterr().err
 
 
-def test_without_presses_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_missing_beside_the_presses_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", "-o", str(tmp_path / "fitted.toml")])
-    assert "needs PRESSES" in capsys.readouterr().err
+        main(["calibrate", "presses.toml", "-o", str(tmp_path / "fitted.toml")])
+    assert "needs --reference" in capsys.readouterr().err

@@ -22,8 +22,8 @@ def test_the_demo_runs_end_to_end(
     (tmp_path / "tiny.toml").write_text(TINY_PATH)
     few_epochs = Profile.preset("smoke").replace(source_epochs=4, adapt_epochs=2)
     monkeypatch.setattr(Profile, "preset", lambda name: few_epochs)
-    words = ["demo", "--out", str(tmp_path), "--path", str(tmp_path / "tiny.toml"), "--quality", "draft"]
-    main([*words, "--size", "64", "48", "--scheduler", "synchronous"])
+    monkeypatch.setattr("gelgap.cli.demo.PATH", str(tmp_path / "tiny.toml"))
+    main(["demo", "--out", str(tmp_path), "--workers", "synchronous"])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == page.count('<label class="picture">') == 2
     assert "http" not in page

@@ -12,7 +12,6 @@ import pytest
 from gelgap.adapt.methods import registry
 from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
-from gelgap.cli.options import IndenterOptions
 from gelgap.domains import make_recipes, own_recipe
 from gelgap.sim import Elastomer, Sphere
 
@@ -75,29 +74,28 @@ def test_a_picture_without_contact_makes_domains_in_lights_like_its(
 def test_forces_beyond_the_declared_range_are_told_before_solving_and_a_range_mends_it(
     capsys: pytest.CaptureFixture[str], refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    command = ["generate", "mb0i0", "--path", "cpu", "--indenter-diameter-mm", "20", "--dry-run"]
+    command = ["generate", "mb0i0", "--path", "cpu", "--set", "diameter_mm=20", "--dry-run"]
     main([*command, "--size", "64", "48", "--out", str(tmp_path / "data")])
     (note,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note")]
     assert "the deepest press of mb0i0 takes about" in note
     assert "declared Fz = -3 N" in note
-    ranges = note.partition("--force-range ")[2].split()
-    main([*command, "--size", "64", "48", "--out", str(tmp_path / "data"), "--force-range", *ranges])
+    ranges = note.partition(" --range ")[2].split()
+    main([*command, "--size", "64", "48", "--out", str(tmp_path / "data"), "--range", *ranges])
     assert "note" not in capsys.readouterr().out
-    (recipe,), _ = Generate(tmp_path, ("mb0i0",), force_range=("fz_n=-40:0",))._recipes()
+    (recipe,), _ = Generate(tmp_path, ("mb0i0",), range=("fz_n=-40:0",)).recipes()
     assert recipe.force_range_n == ((-0.75, 0.75), (-0.75, 0.75), (-40.0, 0.0))
-    said = refused(*command, "--out", tmp_path / "data", "--force-range", "depth_mm=0:1")
+    said = refused(*command, "--out", tmp_path / "data", "--range", "depth_mm=0:1")
     assert "depth_mm is no axis of the force" in said
 
 
 def test_another_sphere_makes_the_domain_and_one_too_small_for_the_path_is_refused(
     refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    large = IndenterOptions(indenter_diameter_mm=42.0)
-    (recipe,), _ = Generate(tmp_path, ("mb0i0",), path="smoke", body=large)._recipes()
+    (recipe,), _ = Generate(tmp_path, ("mb0i0",), path="smoke", set=(("diameter_mm=42",),)).recipes()
     assert recipe.indenter == Sphere(diameter_mm=42.0)
-    command = ["generate", "mb0i0", "--path", "smoke", "--scheduler", "synchronous", "--indenter-diameter-mm"]
+    command = ["generate", "mb0i0", "--path", "smoke", "--workers", "synchronous", "--set"]
     for value, problem in (("0.6", "depth_mm = 0.6: must be in [0, 0.3] mm"), ("60", "[0.5, 50] mm")):
-        assert problem in refused(*command, value, "--out", tmp_path / "data")
+        assert problem in refused(*command, f"diameter_mm={value}", "--out", tmp_path / "data")
     assert not (tmp_path / "data").exists()
 
 

@@ -20,8 +20,8 @@ def test_press_to_a_force(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--depth-mm", "0.2"], ("depth_mm", "normal_force_n")),
-        (["--force-n", "-1"], ("--normal-force-n", "-1")),
+        (["--depth-mm", "0.2"], ("depth_mm", "force_n")),
+        (["--force-n", "-1"], ("--force-n", "-1")),
     ],
 )
 def test_bad_load_control_is_refused(
@@ -32,11 +32,11 @@ def test_bad_load_control_is_refused(
 
 
 def test_a_press_may_twist(capsys: pytest.CaptureFixture[str], refused: Callable[..., str]) -> None:
-    main(["press", "--depth-mm", "0.2", "--twist-deg", "5", "--quality", "draft", "--json"])
+    main(["press", "--depth-mm", "0.2", "--turn-deg", "0", "0", "5", "--quality", "draft", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["torque_n_mm"][2] > 1e-4
     assert report["settings"]["pose"]["twist_deg"] == 5.0
-    assert "twist_deg = 100: must be in [−90, 90]°" in refused("press", "--twist-deg", "100")
+    assert "twist_deg = 100: must be in [−90, 90]°" in refused("press", "--turn-deg", "0", "0", "100")
 
 
 def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -46,9 +46,9 @@ def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused
     tip.vertices[8:, 2] -= 0.008
     tip.export(tmp_path / "tip.stl")
     press = ("press", "--depth-mm", "9", "--indenter", str(tmp_path / "tip.stl"))
-    assert "give --mesh-unit (in a TOML file: unit): " in refused(*press)
-    assert "16 × 16 × 4 mm" in refused(*press, "--mesh-unit", "m")
-    message = refused(*press, "--mesh-unit", "m", "--flip")
+    assert "set unit: " in refused(*press)
+    assert "16 × 16 × 4 mm" in refused(*press, "--set", "unit=m")
+    message = refused(*press, "--set", "unit=m", "flip=true")
     assert "3 × 3 × 12 mm, the convex end of a body of 16 × 16 × 16 mm" in message
     assert "touches by its top (+z of the file)" in message
-    assert "flip: a box has none" in refused("press", "--indenter", "box", "--flip")
+    assert "flip: a box has none" in refused("press", "--indenter", "box", "--set", "flip=true")

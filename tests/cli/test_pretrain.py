@@ -6,7 +6,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from quick_solves import shrink_libraries
+from quick_solves import SMALL_RANGES, shrink_libraries
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
@@ -16,13 +16,20 @@ from gelgap.domains.frames.folders import domain_folders
 from gelgap.domains.pretraining import RANDOM_FACTORS
 
 
+def small_pretraining(folder: Path) -> str:
+    """Return a command that takes seconds and learns little; its files are in the folder."""
+    (folder / "profile.toml").write_text(
+        'base = "smoke"\nwidth = 0.125\nfeature_dim = 16\nsource_epochs = 2\n'
+    )
+    (folder / "small.toml").write_text(SMALL_RANGES)
+    sizes = f"--domains 2 --frames 12 --size 64 48 --ranges {folder}/small.toml"
+    return f"pretrain {sizes} --profile {folder}/profile.toml --out {folder}/out"
+
+
 def test_a_pretrained_network_is_where_training_starts(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
-    command = (
-        f"pretrain --quick --scheduler synchronous --profile {tmp_path}/profile.toml --out {tmp_path}/out"
-    )
+    command = f"{small_pretraining(tmp_path)} --workers synchronous"
     main(command.split())
     printed = capsys.readouterr().out
     assert printed.startswith("domains  pretraining-0000, pretraining-0001")
@@ -56,7 +63,7 @@ def test_what_can_be_left_out_is_what_is_drawn() -> None:
     ("options", "sentence"),
     [
         ("--profile paper", "--size = 160 120: must be at least the 256 × 256 px of profile paper"),
-        ("--frames-per-domain 8", "frames_per_domain = 8: must be 9 or more"),
+        ("--frames 8", "frames_per_domain = 8: must be 9 or more"),
     ],
 )
 def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
@@ -70,8 +77,7 @@ def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shrink_libraries(monkeypatch)
-    (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
-    command = f"pretrain --stream --quick --profile {tmp_path}/profile.toml --out {tmp_path}/out"
+    command = f"{small_pretraining(tmp_path)} --stream"
     main([*command.split(), "--dry-run"])
     assert "training 2 epochs of 24 new frames each" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()

@@ -1,15 +1,17 @@
 """A stream's sample n is the same whoever draws it, a picture of the press that it tells."""
 
 import pickle
+import tomllib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from quick_solves import SMALL_RANGES
 
 from gelgap.domains import PressSample, PressStream, PretrainingRanges, stream
 from gelgap.render import MembraneRenderer
 
-RANGES = PretrainingRanges.default().in_quick_form()
+RANGES = PretrainingRanges(**PretrainingRanges.default().model_dump() | tomllib.loads(SMALL_RANGES))
 SIZE_PX = (48, 36)
 
 

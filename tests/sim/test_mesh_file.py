@@ -92,11 +92,11 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
 @pytest.mark.parametrize(
     ("name", "body", "fields", "message"),
     [
-        ("metres.stl", moved(BOX, 0, 1e-3), {}, "0.01 mm large .* --mesh-unit .*m makes it 10 mm"),
+        ("metres.stl", moved(BOX, 0, 1e-3), {}, "0.01 mm large .* set unit: .*m makes it 10 mm"),
         ("mm.glb", BOX, {}, "10000 mm large .*: mm makes it 10 mm"),
         ("box.stl", BOX, {"unit": "furlong"}, "unit = 'furlong': must be mm, cm, m"),
         ("box.stl", BOX, {"edge_radius_mm": 1.6}, r"edge_radius_mm = 1.6: must be less than 1.5 mm"),
-        ("bowl.stl", overturned(HALF), {}, "lies 2 mm inside its convex hull, of 0.05 mm .*--flip"),
+        ("bowl.stl", overturned(HALF), {}, "lies 2 mm inside its convex hull, of 0.05 mm .*flip = true"),
         ("torus.stl", trimesh.creation.torus(3, 1), {}, "must be convex where it touches"),
         ("flat.stl", some(BOX, BOX.triangles[:, :, 2].max(axis=1) < 1), {}, "only 0 mm high"),
         ("sheet.stl", some(BOX, BOX.triangles[:, :, 0].max(axis=1) < 0), {}, "is flat where it touches"),

@@ -51,7 +51,7 @@ def test_generate_takes_the_recipe(
 ) -> None:
     file = tmp_path / "gap.toml"
     file.write_bytes(recipe_toml(start, target, "smoke"))
-    main(["generate", "--recipe", str(file), "--out", str(tmp_path / "data"), "--dry-run"])
+    main(["generate", str(file), "--out", str(tmp_path / "data"), "--dry-run"])
     assert "frames" in capsys.readouterr().out
 
 
