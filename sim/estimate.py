@@ -23,12 +23,12 @@ _FEWEST_CELLS = 0.25
 # A mesh that is drawn out along a path differs before and behind the contact, and pushes it sideways even without
 # friction, by up to 0.8 % of Fz at `draft`: as if this share of the force were tangential.
 _TANGENTIAL_OF_A_PATH = 0.1
-# So does a tilted body, times the sine of its lean: without slip a cylinder that leans by 8° is pushed sideways by 0.8 %
+# So does a tilted body, times the sine of its lean: a sticking cylinder that leans by 8° is pushed sideways by 0.8 %
 # of Fz too much at `draft`, 0.6 % at `standard` (0.6 mm deep, beside hexahedra of mean dilatation).
 _TANGENTIAL_OF_A_LEAN = 1.5
-# A contact that sticks ends at a ring of vertices, up to a cell from where it truly does: evenly spread, 1/√12 of a cell
-# rms, and a twist's torque grows with the cube of the radius. Beside hexahedra, sticking twists at `standard` are off by
-# 4 to 19 %, rms 13 %; this is 14 % there.
+# A contact that sticks ends at a ring of vertices, up to a cell from where it truly does: evenly spread, 1/√12 of a
+# cell rms, and a twist's torque grows with the cube of the radius. Beside hexahedra, sticking twists at `standard` are
+# off by 4 to 19 %, rms 13 %; this is 14 % there.
 _TWIST_OFF_BY_CELLS = 3 / math.sqrt(12)
 # The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py` of
 # commit 032934a, the last that has it): Fz and radius are of presses among scenes 72 to 249 beside the axisymmetric
