@@ -25,7 +25,7 @@ SAMPLE_DEPTH_MM = 0.6
 class Demo(opt.Command):
     """Generate two small domains, learn force on one, adapt to the other, and write a report; minutes on 2 cores.
 
-    Everything is real: MuJoCo's contacts, rendered pictures, trained networks. Run again, it reuses finished domains.
+    Everything is real: solved contacts, rendered pictures, trained networks. Run again, it reuses finished domains.
 
     For example:
       gelgap demo

@@ -21,6 +21,7 @@ DIAGNOSTICS = (
     "coarse",
     "folded",
     "force_error_n",
+    "tz_error_n_mm",
     "contact_radius_error_mm",
     "membrane_error_mm",
 )
@@ -62,7 +63,7 @@ class Press(opt.Command):
     point_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (0.0, 0.0)
     """Contact point along x and y in mm; 0 0 is the centre of the pad."""
     quality: opt.Quality = "standard"
-    """How finely MuJoCo's mesh and load steps resolve the contact."""
+    """How finely mesh and load steps resolve the contact."""
     json: opt.Flag = False
     """Print one JSON object instead of a table."""
     save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
@@ -134,13 +135,13 @@ class Press(opt.Command):
 
     def _table(self, depth_mm: float, report: dict[str, Any]) -> str:
         force = zip("xyz", report["force_n"], report["force_error_n"], strict=True)
-        torque = zip("xyz", report["torque_n_mm"], strict=True)
+        torque = "  ".join(f"T{axis} {t:+.4f}" for axis, t in zip("xyz", report["torque_n_mm"], strict=True))
         radius = f"{report['contact_radius_mm']:.3f} ± {report['contact_radius_error_mm']:.3f}"
         rows = {
             "indenter": report["indenter"],
             "depth": f"{depth_mm:.4g} mm",
             "force": f"{'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in force)} N",
-            "torque": f"{'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point",
+            "torque": f"{torque} ± {report['tz_error_n_mm']:.4f} N mm, contact point",
             "contact radius": f"{radius} mm",
             "membrane": f"± {1e3 * report['membrane_error_mm']:.1f} µm",
             "slip": f"{report['slip']}: {100 * report['sticking_fraction']:.0f} % of the load sticks",

@@ -1,4 +1,4 @@
-"""The gel: elastomers, indenters, contact paths and the MuJoCo solves that press one into the other."""
+"""The gel: elastomers, indenters, contact paths and the solves that press one into the other."""
 
 import lazy_loader
 

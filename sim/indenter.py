@@ -106,6 +106,11 @@ class Indenter(Settings, ABC):
         """How far the body is turned about the vertical axis, degrees from +x towards +y."""
         return 0.0
 
+    @property
+    def lean_deg(self) -> float:
+        """How far the body's axis is from the vertical, degrees."""
+        return 0.0
+
     def yawed(self, yaw_deg: float) -> Self:
         """Return the body turned about the vertical axis by so much more."""
         return self

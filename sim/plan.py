@@ -33,11 +33,8 @@ LOG = logging.getLogger(__name__)
 # the smallest at most.
 DEPTHS_PER_DESCENT = 3
 _WIDEST_TO_NARROWEST = 2.7
-# Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. An
-# iteration on n vertices takes about n^1.5. Ordering such a mesh and compiling its model takes time as well.
-_SECONDS_PER_STEP = 0.26
-_TRAVEL_FACTOR = 1.3
-_SECONDS_TO_BUILD = 0.4
+# A solve that takes longer, core seconds, says so before it begins.
+_WORTH_SAYING_S = 10.0
 
 
 class PoseSource(Protocol):
@@ -80,16 +77,19 @@ class Solve:
         """Return its own solution; a picture is not asked for."""
         return solutions[self.key]
 
-    @property
+    @cached_property
     def expected_core_s(self) -> float:
         """Seconds of a core that the solve takes on a server of 2023; other machines may take twice as long."""
-        from gelgap.sim.mesh import unordered_mesh
+        from gelgap.sim.cost import expected_work
 
-        problem, size = self.problem, len(unordered_mesh(self.problem).vertices_mm) / 3000
-        # The first load step onto the gel is taken in three.
-        steps = problem.load_steps + 2 * problem.parents.count(-1)
-        step_s = size**1.5 * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
-        return size * _SECONDS_TO_BUILD + steps * step_s
+        return expected_work(self.problem).core_s
+
+    @cached_property
+    def forecast(self) -> str:
+        """What the solve takes, in words; of a dear one also what would make it cheaper."""
+        from gelgap.sim.cost import forecast
+
+        return forecast(self.problem)
 
     def run(self, progress: SolveProgress = silent) -> Solution:
         """Return the solution from the cache, or solve and keep it.
@@ -117,6 +117,8 @@ class Solve:
         half = "half " if problem.symmetric else ""
         what = f"{problem.quality.name} {half}{'pad' if problem.pad_mm or not half else 'disc'}"
 
+        if self.expected_core_s > _WORTH_SAYING_S:
+            LOG.info("%s", self.forecast)
         with shown_progress() as show:
 
             def tell(done: int, total: int) -> None:
@@ -177,7 +179,7 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
-    found = diagnose(solution.problem, record, radius_mm, per_mpa, folded=False)
+    found = diagnose(solution, placement.record, radius_mm, per_mpa, folded=False)
     force_errors_n = found.fz_error_n, found.shear_error_n
     return {
         "displacement_mm": polar_table(solution, record).values,

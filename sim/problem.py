@@ -196,6 +196,11 @@ class ContactProblem:
         """Return the indenter as it is turned at a waypoint."""
         return self.indenter.turned(self.turns_deg[record]) if self.turns_deg else self.indenter
 
+    def way(self, record: int) -> tuple[int, ...]:
+        """Return the waypoints that the indenter comes through on its way to one, which is the last."""
+        parent = self.parents[record]
+        return (*(self.way(parent) if parent >= 0 else ()), record)
+
     @cached_property
     def stands(self) -> tuple[tuple[AnyIndenter, float], ...]:
         """The indenter as it is turned on its way, first as it starts, and how deep its lowest point goes at most."""

@@ -103,6 +103,10 @@ class Shape(Indenter):
     def yaw(self) -> float:
         return self.yaw_deg
 
+    @property
+    def lean_deg(self) -> float:
+        return math.hypot(*self.tilt_deg)
+
     def yawed(self, yaw_deg: float) -> Self:
         """Return the body turned by so much more about the vertical axis, its tilt with it."""
         cosine, sine = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))

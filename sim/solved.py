@@ -140,7 +140,7 @@ class ContactSolve:
             torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
-            diagnostics=diagnose(self.solution.problem, record, radius_mm, ratio, folded=folded),
+            diagnostics=diagnose(self.solution, placement.record, radius_mm, ratio, folded=folded),
             contact_solve=self,
         )
 
@@ -160,14 +160,14 @@ class ContactSolve:
         """Return the last pose on the indenter's way before it went sideways or turned."""
         if self.placement is None:
             raise ValueError(f"depth_mm = {self.pose.depth_mm:g}: a pose without contact has no slip")
-        problem, way = self.solution.problem, [self.placement.record]
-        while problem.parents[way[-1]] >= 0:
-            way.append(problem.parents[way[-1]])
+        problem = self.solution.problem
         leans = problem.commands[:, [0, 1, 3, 4, 5]].any(axis=1)
         # The way begins straight down.
-        press = way.pop()
-        while way and not leans[way[-1]]:
-            press = way.pop()
+        press, *others = problem.way(self.placement.record)
+        for waypoint in others:
+            if leans[waypoint]:
+                break
+            press = waypoint
         depth_mm = -problem.waypoints_mm[press][2]
         if depth_mm == 0:
             raise ValueError("depth_mm = 0 on the way to this pose: a pose without contact has no slip")

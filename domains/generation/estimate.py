@@ -13,6 +13,7 @@ from gelgap.domains.generation.plan import GenerationPlan, plan_generation
 from gelgap.domains.generation.shard import picture_cells
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState
+from gelgap.sim.cost import DEAR_S
 from gelgap.sim.membrane import grid_axes
 from gelgap.sim.press import expected_force_n
 from gelgap.sim.solution import has_solution
@@ -59,7 +60,7 @@ class Estimate:
                 f"by itself (--set interpolated=false): {len(self.exact.plan.solves)} solves, about {self.exact.wall}"
             )
         lines += [f"indenter {line}" for line in _by_indenter(plan)]
-        lines += [f"note     {note}" for note in force_notes(plan.recipes)]
+        lines += [f"note     {note}" for note in (*_dear_notes(plan), *force_notes(plan.recipes))]
         return "\n".join(lines)
 
 
@@ -101,6 +102,14 @@ def _by_indenter(plan: GenerationPlan) -> list[str]:
         turns = ", turning" if solve.problem.turns_deg else ""
         by_label.setdefault(solve.problem.indenter.label + turns, []).append(solve.expected_core_s)
     return [f"{label}: {len(own)} solves, {sum(own):.0f} s of a core" for label, own in by_label.items()]
+
+
+def _dear_notes(plan: GenerationPlan) -> list[str]:
+    """Return what would make the dearest solve cheaper, if it is dear."""
+    dearest = max(plan.solves.values(), key=lambda solve: solve.expected_core_s, default=None)
+    if dearest is None or dearest.expected_core_s <= DEAR_S[dearest.problem.quality.name]:
+        return []
+    return [f"the longest solve takes {dearest.forecast}"]
 
 
 def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:

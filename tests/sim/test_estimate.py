@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
-from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, causes_of_error, diagnose
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_poses
+from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Record, SolveDiagnostics
+from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5, strain_energy="stable-neo-hookean")
 
@@ -20,21 +20,31 @@ def _problem(depth_mm: float = 0.6, quality: str = "draft") -> ContactProblem:
     return plan_visit(GEL, Sphere(), [Pose(depth_mm=depth_mm)], quality).solves[0].problem
 
 
-def _record(depth_mm: float = 0.6, force_n: tuple[float, float, float] = (0.0, 0.0, -0.4)) -> Record:
+def _record(
+    depth_mm: float = 0.6, force_n: tuple[float, float, float] = (0.0, 0.0, -0.4), tz_n_mm: float = 0.0
+) -> Record:
     return Record(
         displacement_mm=np.zeros((1, 3), np.float32),
         normal_force_n=np.zeros(1, np.float32),
         contact_force_n=np.zeros((1, 3), np.float32),
         indenter_mm=np.array([0.0, 0.0, -depth_mm]),
-        torque_n_mm=np.zeros(3),
+        torque_n_mm=np.array([0.0, 0.0, tz_n_mm]),
         force_n=np.array(force_n),
         converged=True,
         diagnostics=SolveDiagnostics(elastic_energy_mj=0.5),
     )
 
 
+def _solution(problem: ContactProblem, *records: Record) -> Solution:
+    return Solution(problem, np.zeros((1, 2)), records)
+
+
 def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[str, float]:
-    return dict(zip(CAUSES, causes_of_error(problem, record, radius_mm), strict=True))
+    return dict(zip(CAUSES, causes_of_error(_solution(problem, record), 0, radius_mm), strict=True))
+
+
+def _found(record: Record, radius_mm: float, ratio: float = 1.0) -> Diagnostics:
+    return diagnose(_solution(_problem(), record), 0, radius_mm, ratio, folded=False)
 
 
 def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
@@ -48,9 +58,10 @@ def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
 
 
 def test_forces_errors_and_energy_are_those_of_the_gel_and_not_of_the_solved_one() -> None:
-    one, three = (diagnose(_problem(), _record(), 0.7, ratio, folded=False) for ratio in (1.0, 3.0))
+    one, three = (_found(_record(tz_n_mm=0.1), 0.7, ratio) for ratio in (1.0, 3.0))
     assert three.fz_error_n == pytest.approx(3 * one.fz_error_n)
     assert three.shear_error_n == pytest.approx(3 * one.shear_error_n)
+    assert three.tz_error_n_mm == pytest.approx(3 * one.tz_error_n_mm)
     assert three.elastic_energy_mj == pytest.approx(1.5)
     assert three.membrane_error_mm == one.membrane_error_mm > 0
     assert three.contact_radius_error_mm == one.contact_radius_error_mm > 0
@@ -58,9 +69,41 @@ def test_forces_errors_and_energy_are_those_of_the_gel_and_not_of_the_solved_one
 
 
 def test_a_contact_of_hardly_a_cell_is_flagged_and_one_of_many_is_not() -> None:
-    resolved, hardly = (diagnose(_problem(), _record(), radius, 1.0, folded=False) for radius in (0.9, 0.05))
+    resolved, hardly = (_found(_record(), radius) for radius in (0.9, 0.05))
     assert hardly.coarse
     assert not resolved.coarse
+
+
+def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
+    drag = [Pose(depth_mm=0.6, shear_x_mm=x_mm) for x_mm in (0.1, 0.2, 0.3, 0.2, 0.1)]
+    problem = plan_visit(GEL, Sphere(), drag, "draft").solves[0].problem
+    forces_n = [(fx, 0.0, -0.4) for fx in (0.0, 0.1, 0.2, 0.3, 0.1, 0.0)]
+    solution = _solution(problem, *(_record(force_n=force) for force in forces_n))
+    shear = [diagnose(solution, k, 0.7, 1.0, folded=False).shear_error_n for k in range(1, 6)]
+    alone = _solution(problem, *[_record(force_n=(0.2, 0.0, -0.4))] * 6)
+    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, folded=False).shear_error_n)
+    assert shear[0] < shear[1] < shear[2] < shear[3] < shear[4] < 1.5 * shear[2]
+
+
+def test_a_lean_and_a_twist_have_estimates() -> None:
+    """A cylinder that leans by 8° and sticks, 0.6 mm deep: Fx is 0.0076 N of 0.92 N too large at `draft`."""
+    gel = GEL.model_copy(update={"friction": 10.0})
+    upright, leaning = (Cylinder(edge_radius_mm=0.2, tilt_deg=(0.0, lean)) for lean in (0.0, 8.0))
+    records = _record(force_n=(-0.033, 0.0, -0.92), tz_n_mm=0.5), _record(force_n=(-0.033, 0.0, -0.92))
+    straight, tilted = (
+        diagnose(
+            _solution(plan_visit(gel, body, [Pose(depth_mm=0.6)], "draft").solves[0].problem, record),
+            0,
+            1.65,
+            1.0,
+            folded=False,
+        )
+        for body, record in zip((upright, leaning), records, strict=True)
+    )
+    assert straight.shear_error_n < 0.002
+    assert 0.0038 < tilted.shear_error_n < 0.0152
+    assert straight.tz_error_n_mm > 0.05
+    assert tilted.tz_error_n_mm == 0
 
 
 def test_a_shallow_pose_on_the_mesh_of_a_deep_one_is_coarse_and_alone_is_not() -> None:

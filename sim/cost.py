@@ -1,0 +1,129 @@
+"""What a solve takes, before anything is solved: core seconds, from what its mesh and its load steps count.
+
+The numbers are those of one core of a server of 2023, fitted by `python -m gelgap.benchmarks.physics.cost`.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from gelgap.sim.mesh import GelMesh, ordered_for_elimination, touchable, unordered_mesh
+from gelgap.sim.problem import QUALITIES, ContactProblem
+
+# Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
+BUILD_S, BUILD_POWER = 0.056, 1.6
+# An iteration: seconds for 1000 vertices, and for 10⁹ operations of the elimination.
+VERTICES_S, GFLOP_S = 0.0126, 0.0323
+# Iterations of a load step straight down, of which the first onto the gel counts as three; of one sideways; and for
+# each cell that it goes.
+PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 4.1, 4.5, 7.0
+# Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
+# shape, are counted, which takes 2 % of the solve.
+_GFLOP, _COUNTED_THOUSANDS = 0.045, 8.0
+# Above so many core seconds a solve is dear, and what makes it cheaper is said.
+DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
+# A change is worth naming if it leaves at most this share.
+_WORTHWHILE_SHARE = 0.75
+
+
+class Work(NamedTuple):
+    """What a solve consists of: 1000 vertices, 10⁹ operations of an elimination, iterations."""
+
+    thousands: float
+    gflop: float
+    iterations: float
+
+    @property
+    def core_s(self) -> float:
+        """About how many seconds of a core it takes."""
+        iteration_s = VERTICES_S * self.thousands + GFLOP_S * self.gflop
+        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * iteration_s
+
+
+@lru_cache(maxsize=32)
+def expected_work(problem: ContactProblem) -> Work:
+    """Return what the solve of a problem will consist of."""
+    mesh = unordered_mesh(problem)
+    thousands = len(mesh.vertices_mm) / 1000
+    gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(mesh, problem)
+    return Work(thousands, gflop, expected_iterations(problem))
+
+
+def expected_iterations(problem: ContactProblem) -> float:
+    """Return about how many iterations the load steps of a problem take."""
+    # The first load step onto the gel is taken in three.
+    iterations = 2 * PRESS_ITERATIONS * problem.parents.count(-1)
+    for start, end in problem.segments:
+        change = end - start
+        steps, sideways_mm = problem.steps(change), np.hypot(*change[:2]) + problem.arc_mm(change[3:])
+        if sideways_mm > 0:
+            iterations += DRAG_ITERATIONS * steps + CELL_ITERATIONS * sideways_mm / problem.cell_mm
+        else:
+            iterations += PRESS_ITERATIONS * steps
+    return float(iterations)
+
+
+def _counted_gflop(mesh: GelMesh, problem: ContactProblem) -> float:
+    """Return the operations of all fronts of an elimination, in 10⁹."""
+    from gelgap.sim.fronts import assembly_tree
+
+    nodes = touchable(mesh, problem)
+    mesh = ordered_for_elimination(mesh, nodes)
+    corners, moving = mesh.tetrahedra, len(mesh.vertices_mm) - len(mesh.bottom)
+    # Vertices are numbered in reverse order of elimination, the bonded ones last.
+    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
+    order = order[:, (order >= 0).all(axis=0)]
+    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
+    fronts = assembly_tree(graph, len(nodes))[:-1]
+    own = 3.0 * np.array([len(front.columns) for front in fronts])
+    below = 3.0 * np.array([len(front.rows) for front in fronts]) + 1
+    return float((own**3 / 3 + own**2 * below + own * below**2).sum()) / 1e9
+
+
+def cheaper(problem: ContactProblem) -> dict[str, float]:
+    """Return what would make a solve cheaper, and the core seconds that it would take then, the least first.
+
+    Each is found by planning the changed problem, so that what does not help in this scene is not named.
+    """
+    changed = {}
+    if problem.quality.name != "draft":
+        changed["quality draft"] = replace(problem, quality=QUALITIES["draft"])
+    if problem.travel_mm > 0:
+        shorter = tuple((x / 2, y / 2, z) for x, y, z in problem.waypoints_mm)
+        changed["half the travel"] = replace(problem, waypoints_mm=shorter)
+    shallower = tuple((x, y, z / 2) for x, y, z in problem.waypoints_mm)
+    changed["half the depth"] = replace(problem, waypoints_mm=shallower)
+    for field, name in (
+        ("edge_radius_mm", "edge radius"),
+        ("tip_radius_mm", "tip radius"),
+        ("diameter_mm", "diameter"),
+    ):
+        size_mm = getattr(problem.indenter, field, None)
+        if size_mm:
+            larger = {**problem.indenter.model_dump(), field: 2 * size_mm}
+            try:
+                body = type(problem.indenter).model_validate(larger)
+            except ValueError:
+                continue
+            changed[f"twice the {name} ({2 * size_mm:.3g} mm)"] = replace(problem, indenter=body)
+    now_s, needed_s = expected_work(problem).core_s, {}
+    for change, other in changed.items():
+        try:
+            needed_s[change] = expected_work(other).core_s
+        except ValueError:  # A body that touches with all of its face from some depth on, say.
+            continue
+    helping = {change: s for change, s in needed_s.items() if s <= _WORTHWHILE_SHARE * now_s}
+    return dict(sorted(helping.items(), key=lambda item: item[1]))
+
+
+def forecast(problem: ContactProblem) -> str:
+    """Say what a solve takes; of a dear one also what would make it cheaper."""
+    needed_s = expected_work(problem).core_s
+    said = f"about {needed_s:.0f} s of a core to solve at {problem.quality.name}"
+    if needed_s <= DEAR_S[problem.quality.name]:
+        return said
+    helping = ", ".join(f"{change} {own_s:.0f} s" for change, own_s in cheaper(problem).items())
+    return f"{said}; cheaper: {helping or 'nothing simple'}"

@@ -1,0 +1,59 @@
+"""What a solve takes is known before: it grows with the work, its iterations are about right, and advice is true."""
+
+import pytest
+
+from gelgap.sim import Box, Elastomer, Pose, Sphere
+from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_work, forecast
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.newton import solve
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.problem import ContactProblem
+
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
+TOUCH = Pose(depth_mm=0.0226, shear_x_mm=-0.7777, shear_y_mm=0.6179)
+
+
+def _problem(pose: Pose, body: Indenter = Sphere(), quality: str = "draft") -> ContactProblem:  # noqa: B008
+    return plan_visit(GEL, body, (pose,), quality).solves[0].problem
+
+
+def test_longer_ways_and_finer_meshes_take_longer() -> None:
+    press = expected_work(_problem(Pose(depth_mm=0.6))).core_s
+    drag = expected_work(_problem(Pose(depth_mm=0.6, shear_x_mm=0.4))).core_s
+    fine = expected_work(_problem(Pose(depth_mm=0.6), quality="standard")).core_s
+    assert 0 < press < drag
+    assert 2 * press < fine
+
+
+@pytest.mark.parametrize("shear_mm", [0.0, 0.2])
+def test_the_iterations_of_a_solve_are_foreseen(shear_mm: float) -> None:
+    problem = _problem(Pose(depth_mm=0.4, shear_x_mm=shear_mm))
+    taken = sum(record.diagnostics.iterations for record in solve(problem).records)
+    assert 1 / 1.6 < expected_work(problem).iterations / taken < 1.6
+
+
+def test_operations_are_counted_where_a_mesh_is_large_and_agree_with_the_power_law(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = _problem(Pose(depth_mm=0.6))
+    guessed = expected_work(problem).gflop
+    expected_work.cache_clear()
+    monkeypatch.setattr("gelgap.sim.cost._COUNTED_THOUSANDS", 0.0)
+    assert 0.5 < expected_work(problem).gflop / guessed < 2
+    expected_work.cache_clear()
+
+
+def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
+    dear = _problem(TOUCH, Sphere(diameter_mm=2.577))
+    assert expected_work(dear).core_s > DEAR_S["draft"]
+    assert "half the travel" in cheaper(dear)
+    assert all(core_s < expected_work(dear).core_s for core_s in cheaper(dear).values())
+    assert "cheaper: " in forecast(dear)
+    assert "cheaper" not in forecast(_problem(Pose(depth_mm=0.6)))
+    box = _problem(Pose(depth_mm=0.6), Box(yaw_deg=20.0, tilt_deg=(3.0, 2.0)), "standard")
+    assert next(iter(cheaper(box))) == "quality draft"
+
+
+def test_work_costs_what_it_consists_of() -> None:
+    one, twice = Work(3.0, 0.4, 20.0), Work(3.0, 0.4, 40.0)
+    assert one.core_s < twice.core_s < 2 * one.core_s
