@@ -144,6 +144,10 @@ class FrictionalContacts:
         data.contact.dist[:] += self._friction_of[nodes] * slides_mm
         data.contact.friction[~held, :2] = _FRICTIONLESS
 
+    def forget_landing(self) -> None:
+        """Let the nodes that landed in the last iteration land once more in the next."""
+        self._held &= ~self._landed
+
     def at_rest(self) -> bool:
         """Return whether all nodes with load are held, and none of them landed in the last iteration."""
         return bool((self._held & ~self._landed)[self.nodes[self.loaded]].all())
@@ -225,8 +229,23 @@ class ContactNewton:
         order = np.concatenate([inner[::-1], nodes])
         self._condensation = Condensation(stiffness, gel.vertex_dof[order], len(nodes))
 
+    def factorise(self) -> None:
+        """Factorise A of the present state.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If A is not positive definite.
+        """
+        data = self._data
+        diagonal = data.M[self._diagonal_of_mass] + data.efm_diag
+        lower = self._condensation.factorise(data.efm_K_val, diagonal)
+        self._whole, self._indenter_mass = lower + np.tril(lower, -1).T, diagonal[self._indenter_dofs]
+
     def acceleration(self) -> Floats:
         """Return the acceleration a (nv,) that solves the problem; the data's contact forces become those of it.
+
+        A is the one that was factorised last, all else is the present state's.
 
         Raises
         ------
@@ -234,10 +253,9 @@ class ContactNewton:
             If A is not positive definite, or not finite.
         """
         data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
-        diagonal, force = data.M[self._diagonal_of_mass] + data.efm_diag, data.qfrc_smooth + data.efm_c
+        force, whole = data.qfrc_smooth + data.efm_c, self._whole
         contact_dofs = data.efc_J_colind.reshape(-1, 3, 6)[:, 0]
-        lower, right_side = self._condensation.condense(data.efm_K_val, diagonal, force)
-        whole = lower + np.tril(lower, -1).T
+        right_side = self._condensation.condense(force)
         touched = np.isin(kept_dofs, contact_dofs)
         factor = linalg.cholesky(whole[~touched][:, ~touched], lower=True, check_finite=False)
         others = np.column_stack([whole[~touched][:, touched], right_side[~touched]])
@@ -251,7 +269,7 @@ class ContactNewton:
         number = np.empty(len(force), dtype=np.int64)
         number[moving] = np.arange(len(moving))
         solution = self._minimum(
-            linalg.block_diag(stiffness, np.diag(diagonal[indenter_dofs])),
+            linalg.block_diag(stiffness, np.diag(self._indenter_mass)),
             np.concatenate([right_side, force[indenter_dofs]]),
             number[contact_dofs],
         )

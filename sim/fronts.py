@@ -66,31 +66,36 @@ class Condensation:
         self._plan = plan = _plan(groups, first_dof, rows, columns)
         self._factor = np.zeros(plan.begin[-1])
         self._updates = np.zeros((plan.update + plan.below**2).max())
+        self._solution = np.zeros(self._size)
         self.kept_dofs = plan.own_dofs[-3 * kept :]
 
-    def condense(self, values: Floats, diagonal: Floats, right_side: Floats) -> tuple[Floats, Floats]:
-        """Return the lower triangle of the condensed matrix (k, k), with zeros above, and the right side (k,).
+    def factorise(self, values: Floats, diagonal: Floats) -> Floats:
+        """Factorise A and return the lower triangle of the condensed matrix (k, k), with zeros above.
 
-        `values` are the sparse matrix's in its own order, `diagonal` (n,) is added, `right_side` (n,) is b.
+        `values` are the sparse matrix's in its own order, `diagonal` (n,) is added. The factor stays for any number of
+        right sides.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        if not _eliminate(
-            self._plan, (values, diagonal, right_side), self._factor, self._updates, _ELIMINATION
-        ):
+        if not _eliminate(self._plan, values, diagonal, self._factor, self._updates, _ELIMINATION):
             raise np.linalg.LinAlgError("the matrix is not positive definite")
         kept = len(self.kept_dofs)
-        last = self._factor[self._plan.begin[-2] :].reshape(kept + 1, kept)
-        return last[:kept].T, last[kept]
+        return self._factor[self._plan.begin[-2] :].reshape(kept, kept).T
+
+    def condense(self, right_side: Floats) -> Floats:
+        """Return what is left of b (n,) for the kept dofs (k,), after `factorise`."""
+        self._solution[:] = right_side
+        _substitute(self._plan, self._factor, self._solution, _SUBSTITUTION)
+        return self._solution[self.kept_dofs]
 
     def expand(self, kept: Floats) -> Floats:
         """Return x (n,) from its kept dofs (k,), after `condense`; 0 where there is no vertex."""
         solution = np.zeros(self._size)
         solution[self.kept_dofs] = kept
-        _substitute_back(self._plan, self._factor, solution, _SUBSTITUTION)
+        _substitute_back(self._plan, self._factor, self._solution, solution, _SUBSTITUTION)
         return solution
 
 
@@ -172,20 +177,19 @@ def _postordered(root: _Branch) -> list[Group]:
 class _Plan(NamedTuple):
     """Where everything lies, of all groups' fronts one after another, in postorder.
 
-    A front is the dense matrix of a group: its `own` (c, c) columns and what is `below` (r + 1, c), both column by
-    column, which become the factor's. The right side is its last row. Its update matrix (r + 1, r + 1) is what
-    elimination leaves of the rest; it is added to the parent's front at `places` (r + 1,), which ascend. `first_…`
-    say where each front's part of the other arrays begins.
+    A front is the dense matrix of a group: its `own` (c, c) columns and what is `below` (r, c), both column by column,
+    which become the factor's. Its update matrix (r, r) is what elimination leaves of the rest; it is added to the
+    parent's front at `places` (r,), which ascend. `first_…` say where each front's part of the other arrays begins.
     """
 
     own: Ints  # c of each front
-    below: Ints  # r + 1 of each front
+    below: Ints  # r of each front
     begin: Ints  # of each front in the factor's memory
     update: Ints  # where each update matrix begins in theirs
     first_own: Ints
     own_dofs: Ints  # where the columns stand in A
     first_row: Ints
-    row_dofs: Ints  # where the rows stand in A, −1 for the right side
+    row_dofs: Ints  # where the rows stand in A
     places: NDArray[np.uint64]  # unsigned, since compiled code is slower if an index may be negative
     first_child: Ints
     children: Ints
@@ -202,7 +206,7 @@ def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _P
     vertices, number = len(first_dof), np.arange(len(groups))
     mine, later = np.array([(len(group.columns), len(group.rows)) for group in groups]).T
     mine_of, later_of = (np.concatenate([getattr(g, part) for g in groups]) for part in ("columns", "rows"))
-    own, below = 3 * mine, 3 * later + 1
+    own, below = 3 * mine, 3 * later
     begin, held = _ends(own * (own + below)), _ends(mine + later)
     # What the groups hold, one group after another, ascends if it is raised by the group's number.
     raised = np.concatenate([part for group in groups for part in (group.columns, group.rows)])
@@ -216,7 +220,6 @@ def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _P
     group_of[mine_of] = np.repeat(number, mine)
     for index, group in enumerate(groups):
         parent[list(group.children)] = index
-    ends = 3 * np.cumsum(later)
     in_parent = places(np.repeat(parent, 3 * later), _dofs(3 * later_of))
     source = np.flatnonzero((columns >= 0) & (rows >= columns))
     source = source[np.argsort(group_of[columns[source] // 3], kind="stable")]
@@ -231,8 +234,8 @@ def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _P
         first_own=_ends(own),
         own_dofs=_dofs(first_dof[mine_of]),
         first_row=_ends(below),
-        row_dofs=np.insert(_dofs(first_dof[later_of]), ends, -1),
-        places=np.insert(in_parent, ends, 3 * (mine + later)[parent]).astype(np.uint64),
+        row_dofs=_dofs(first_dof[later_of]),
+        places=in_parent.astype(np.uint64),
         first_child=_ends([len(group.children) for group in groups]),
         children=np.array([child for group in groups for child in group.children], dtype=np.int64),
         first_value=np.searchsorted(group, np.arange(len(groups) + 1)),
@@ -248,7 +251,7 @@ def _ends(lengths: Any) -> Ints:
 
 def _update_places(groups: list[Group]) -> Ints:
     """Return where the update matrices lie; groups equally deep in the tree share memory if their parents differ."""
-    sizes = [3 * len(group.rows) + 1 for group in groups]
+    sizes = [3 * len(group.rows) for group in groups]
     depth, begin = np.zeros(len(groups), np.int64), np.zeros(len(groups), np.int64)
     needed = np.zeros(len(groups) + 1, np.int64)
     for number in reversed(range(len(groups))):
@@ -267,14 +270,13 @@ def _dofs(first_dof: Ints) -> Ints:
 
 @njit(cache=True)
 def _eliminate(
-    plan: _Plan, matrix: tuple[Floats, Floats, Floats], factor: Floats, updates: Floats, routines: tuple
+    plan: _Plan, values: Floats, diagonal: Floats, factor: Floats, updates: Floats, routines: tuple
 ) -> bool:
     """Assemble and eliminate all fronts but the last, which is assembled only; return whether all had a factor.
 
-    `matrix` are the values, the diagonal and the right side of `condense`. Matrices lie column by column, so that
-    their first index here is the column.
+    `values` and `diagonal` are those of `factorise`. Matrices lie column by column, so that their first index here is
+    the column.
     """
-    values, diagonal, right_side = matrix
     dpotrf, dtrsm, dsyrk = routines
     right, lower, transposed, plain = _RIGHT.ctypes, _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes
     one, minus_one, zero = _ONE.ctypes, _MINUS_ONE.ctypes, _ZERO.ctypes
@@ -288,14 +290,12 @@ def _eliminate(
             factor[plan.target[k]] = values[plan.source[k]]
         own, below = memory[: size * size].reshape(size, size), memory[size * size :].reshape(size, rows)
         for k in range(size):
-            dof = plan.own_dofs[plan.first_own[front] + k]
-            own[k, k] += diagonal[dof]
-            below[k, rows - 1] = right_side[dof]
+            own[k, k] += diagonal[plan.own_dofs[plan.first_own[front] + k]]
         children = plan.children[plan.first_child[front] : plan.first_child[front + 1]]
         for child in children:
             added, places = _update(plan, updates, child)
             inner = 0
-            while places[inner] < behind:
+            while inner < len(places) and places[inner] < behind:
                 inner += 1
             for column in range(inner):
                 from_column, to_own, to_below = added[column], own[places[column]], below[places[column]]
@@ -310,6 +310,8 @@ def _eliminate(
         dpotrf(lower, c, own.ctypes, c, failed)
         if sizes[2] != 0:
             return False
+        if rows == 0:
+            continue
         dtrsm(right, lower, transposed, plain, r, c, one, own.ctypes, c, below.ctypes, r)
         dsyrk(lower, plain, r, c, minus_one, below.ctypes, r, zero, update.ctypes, r)
         for child in children:
@@ -324,31 +326,61 @@ def _eliminate(
 
 @njit(cache=True)
 def _update(plan: _Plan, updates: Floats, front: int) -> tuple[Floats, NDArray[np.uint64]]:
-    """Return a front's update matrix (r + 1, r + 1) and its places (r + 1,) in the parent's front."""
+    """Return a front's update matrix (r, r) and its places (r,) in the parent's front."""
     rows, begin, first = plan.below[front], plan.update[front], plan.first_row[front]
     return updates[begin : begin + rows * rows].reshape(rows, rows), plan.places[first : first + rows]
 
 
 @njit(cache=True)
-def _substitute_back(plan: _Plan, factor: Floats, solution: Floats, routines: tuple) -> None:
+def _substitute(plan: _Plan, factor: Floats, right_side: Floats, routines: tuple) -> None:
+    """Eliminate the dofs of all fronts but the last from a right side (n,), in place."""
+    dgemv, dtrsv = routines
+    lower, plain, step = _LOWER.ctypes, _PLAIN.ctypes, _STEP.ctypes
+    one, zero = _ONE.ctypes, _ZERO.ctypes
+    sizes = np.zeros(2, np.int32)
+    c, r = sizes[:1].ctypes, sizes[1:].ctypes
+    for front in range(len(plan.own) - 1):
+        size, rows = plan.own[front], plan.below[front]
+        sizes[0], sizes[1] = size, rows
+        own = factor[plan.begin[front] :]
+        below = own[size * size :]
+        own_dofs, row_dofs = plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
+        left, passed = np.empty(size), np.empty(rows)
+        for k in range(size):
+            left[k] = right_side[own_dofs[k]]
+        dtrsv(lower, plain, plain, c, own.ctypes, c, left.ctypes, step)
+        for k in range(size):
+            right_side[own_dofs[k]] = left[k]
+        if rows == 0:
+            continue
+        dgemv(plain, r, c, one, below.ctypes, r, left.ctypes, step, zero, passed.ctypes, step)
+        for k in range(rows):
+            right_side[row_dofs[k]] -= passed[k]
+
+
+@njit(cache=True)
+def _substitute_back(
+    plan: _Plan, factor: Floats, right_side: Floats, solution: Floats, routines: tuple
+) -> None:
     """Find the dofs of all fronts but the last, from the last front's in `solution` (n,)."""
     dgemv, dtrsv = routines
     lower, transposed, plain = _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes
     one, minus_one, step = _ONE.ctypes, _MINUS_ONE.ctypes, _STEP.ctypes
-    sizes = np.zeros(3, np.int32)
-    c, r, others = sizes[:1].ctypes, sizes[1:2].ctypes, sizes[2:].ctypes
+    sizes = np.zeros(2, np.int32)
+    c, r = sizes[:1].ctypes, sizes[1:].ctypes
     for front in range(len(plan.own) - 2, -1, -1):
         size, rows = plan.own[front], plan.below[front]
-        sizes[0], sizes[1], sizes[2] = size, rows, rows - 1
+        sizes[0], sizes[1] = size, rows
         own = factor[plan.begin[front] :]
         below = own[size * size :]
         own_dofs, row_dofs = plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
-        known, left = np.empty(rows - 1), np.empty(size)
-        for k in range(rows - 1):
+        known, left = np.empty(rows), np.empty(size)
+        for k in range(rows):
             known[k] = solution[row_dofs[k]]
         for k in range(size):
-            left[k] = below[rows - 1 + k * rows]
-        dgemv(transposed, others, c, minus_one, below.ctypes, r, known.ctypes, step, one, left.ctypes, step)
+            left[k] = right_side[own_dofs[k]]
+        if rows > 0:
+            dgemv(transposed, r, c, minus_one, below.ctypes, r, known.ctypes, step, one, left.ctypes, step)
         dtrsv(lower, transposed, plain, c, own.ctypes, c, left.ctypes, step)
         for k in range(size):
             solution[own_dofs[k]] = left[k]

@@ -71,7 +71,22 @@ def test_only_the_given_dofs_decide() -> None:
     series = GeometricSeries()
     for step in ([1.0, 0.0, 5.0], [1.0, 0.0, -9.0]):
         series.remainder(np.array(step), np.array([0, 1]), FAR)
-    assert series.remainder(np.array([0.5, 0.0, 70.0]), np.array([0, 1]), FAR) == pytest.approx(1.0)
+    assert series.remainder(np.array([0.5, 0.0, 20.0]), np.array([0, 1]), FAR) == pytest.approx(1.0)
+
+
+def test_dofs_that_do_not_move_start_no_series() -> None:
+    """Where all touching nodes stick, an extrapolation of their rounding errors once moved the gel by kilometres."""
+    series = GeometricSeries()
+    found = [
+        series.remainder(np.array([1e-17, 0.0, ratio]), np.array([0]), 1e-2) for ratio in (1.0, 0.5, 0.2)
+    ]
+    assert found == [0.0, 0.0, 0.0]
+
+
+def test_nothing_is_moved_further_than_is_allowed() -> None:
+    series = GeometricSeries()
+    step = np.array([0.2, 0.0, 5.0])
+    assert [series.remainder(step, np.array([0]), 1e-2) for _ in range(3)][2] * 5.0 == pytest.approx(1e-2)
 
 
 def test_steps_that_turn_are_no_series() -> None:
