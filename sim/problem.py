@@ -23,9 +23,9 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 22
+_METHOD_VERSION = 25
 # Shapes whose own method has changed since.
-_METHOD_OF_SHAPE = {"mesh": 24, "ellipsoid": 23}
+_METHOD_OF_SHAPE: dict[str, int] = {}
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
 # The mesh is made for the indenter as it stands this often while it turns.
