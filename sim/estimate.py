@@ -107,6 +107,7 @@ def diagnose(
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's."""
     causes = causes_of_error(problem, record, contact_radius_mm)
     share = np.sqrt(np.array(_VARIANCE_PER_CAUSE) @ causes**2)
+    share[:2] = np.hypot(share[:2], record.moved_error)
     fz, shear, radius, membrane = share.tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)

@@ -27,6 +27,7 @@ from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
 from gelgap.sim.solved import ContactSolve, Placement, SolvedPose
+from gelgap.sim.steady import steady_slide
 
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
@@ -85,7 +86,9 @@ class Solve:
         """Seconds of a core that the solve takes on a server of 2023; other machines may take twice as long."""
         from gelgap.sim.mesh import unordered_mesh
 
-        problem, size = self.problem, len(unordered_mesh(self.problem).vertices_mm) / 3000
+        slide = steady_slide(self.problem)
+        problem = self.problem if slide is None else slide.solved
+        size = len(unordered_mesh(problem).vertices_mm) / 3000
         # The first load step onto the gel is taken in three.
         steps = problem.load_steps + 2 * problem.parents.count(-1)
         step_s = size**1.5 * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
