@@ -1,7 +1,7 @@
 """Slides of any length: a straight drag that slides wholly goes on as it is, so that its state is moved, not solved.
 
-The mesh and the load steps of a long slide then are those of its beginning. A touch that slides by forty times its
-depth takes a tenth of the time.
+The mesh and the load steps of a long slide then are those of its beginning. A slide of 1 mm, five times
+the depth, takes a quarter of the time.
 """
 
 import math
