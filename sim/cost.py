@@ -12,6 +12,7 @@ from scipy import sparse
 
 from gelgap.sim.mesh import GelMesh, ordered_for_elimination, touchable, unordered_mesh
 from gelgap.sim.problem import QUALITIES, ContactProblem
+from gelgap.sim.steady import steady_slide
 
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
 BUILD_S, BUILD_POWER = 0.056, 1.6
@@ -46,6 +47,9 @@ class Work(NamedTuple):
 @lru_cache(maxsize=32)
 def expected_work(problem: ContactProblem) -> Work:
     """Return what the solve of a problem will consist of."""
+    slide = steady_slide(problem)
+    if slide is not None:
+        problem = slide.solved
     mesh = unordered_mesh(problem)
     thousands = len(mesh.vertices_mm) / 1000
     gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(mesh, problem)

@@ -137,6 +137,7 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, contact_radius_mm)
     share = np.sqrt(np.array(_VARIANCE_PER_CAUSE) @ causes**2)
+    share[:2] = np.hypot(share[:2], record.moved_error)
     fz, shear, radius, membrane = share.tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)

@@ -75,7 +75,7 @@ def _sizes_under(
     problem: ContactProblem, body: Indenter, depth_mm: float, axis: int, swept_mm: tuple[float, float]
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the places, sizes and growths of `Sizes` under the indenter as it is turned once on its way."""
-    cell_mm, size = problem.cell_mm, problem.mesh_size
+    cell_mm, size = problem.cell_along_mm(axis), problem.mesh_size
     low, high = np.reshape(body.cut_mm(depth_mm), (2, 2))[axis]
     growth = math.log(size.ring_growth)
     places, radius = body.curvature(depth_mm, axis, cell_mm)

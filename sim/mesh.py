@@ -14,6 +14,7 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gelgap.sim.blocks import Coarsening, split_blocks
 from gelgap.sim.grading import Sizes, sizes_along
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.problem import ContactProblem
@@ -39,6 +40,10 @@ _LARGEST_LAYER = 0.25  # of the thickness
 _LAST_LAYER = 0.12
 # Columns of cells along a drag become one where the cells beside the path are this many times as long as they are wide.
 _MERGED_RATIO = 2.5
+# Beside and below a contact between lines, blocks are this many of the finest cells wide, and as wide as this share of
+# the rings there would be.
+_FINEST_BLOCK = 1.3
+_BLOCK_GROWTH = 0.5
 # Vertices up to this share of the contact's radius outside of what the indenter passes over can touch it, since the gel
 # bulges, but none further than 0.4 mm.
 _TOUCHING_MARGIN = 0.3
@@ -107,14 +112,18 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
-    if problem.is_round:
-        plane, cells, finest_mm = _around_axis(problem)
-    else:
-        plane, cells, finest_mm = _between_lines(problem)
     size, thickness = problem.mesh_size, problem.thickness_mm
     last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
-    layers = layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
-    return GelMesh(*_split_prisms(plane, cells, layers), problem.symmetric)
+
+    def layers_mm(finest_mm: float) -> Points:
+        return layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
+
+    if problem.is_round:
+        plane, cells, finest_mm = _around_axis(problem)
+        return GelMesh(*_split_prisms(plane, cells, layers_mm(finest_mm)), problem.symmetric)
+    lines, coarsening = _lines_and_blocks(problem)
+    layers = layers_mm(coarsening.finest_mm / _FINEST_BLOCK)
+    return GelMesh(*split_blocks(lines, layers, coarsening), problem.symmetric)
 
 
 def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
@@ -147,12 +156,12 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
     return *pad_cells(grid, problem.pad_mm, symmetric=problem.symmetric), finest
 
 
-def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
-    """Return plane cells between lines along x and y, for any contact, and the width of the finest."""
+def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Points], Coarsening]:
+    """Return lines along x and y between which cells lie, for any contact, and which of them become one."""
     thickness, points = problem.thickness_mm, problem.segments.reshape(-1, 6)
     cut_mm = np.reshape(problem.cut_mm, (2, 2))
     beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
-    lines, finest = [], np.inf
+    lines, box, finest = [], [], np.inf
     for axis in (0, 1):
         swept_mm = float(points[:, axis].min()), float(points[:, axis].max())
         sizes = sizes_along(problem, axis, _LARGEST_CELL * thickness, swept_mm)
@@ -161,12 +170,13 @@ def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
             start, end = max(start, problem.pad_mm[2 * axis]), min(end, problem.pad_mm[2 * axis + 1])
         if axis == 1 and problem.symmetric:
             start = 0.0
-        lines.append(sizes.positions_mm(start, end))
+        # A line through the axis, so that a mirrored scene has the mirrored mesh.
+        parts = itertools.pairwise([start, 0.0, end] if start < 0 < end else [start, end])
+        lines.append(np.unique(np.concatenate([sizes.positions_mm(*part) for part in parts])))
+        box.append(cut_mm[axis] + swept_mm + [-problem.cell_mm, problem.cell_mm])
         finest = min(finest, float(sizes.size_mm.min()))
-    plane = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
-    index = np.arange(len(plane)).reshape(len(lines[0]), len(lines[1]))
-    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
-    return plane, list(quads), finest
+    growth = _BLOCK_GROWTH * math.log(problem.mesh_size.ring_growth)
+    return lines, Coarsening(np.array(box), _FINEST_BLOCK * finest, growth, _LARGEST_CELL * thickness)
 
 
 def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:

@@ -16,6 +16,7 @@ from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
+from gelgap.sim.steady import solve_steadily
 
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)
@@ -70,7 +71,9 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condense
     """
     # Several threads would wait for one another at hundreds of small matrices.
     with threadpool_limits(limits=1, user_api="blas"):
-        return StaticNewton(problem, condensed=condensed).follow_waypoints(progress)
+        return solve_steadily(
+            problem, lambda own: StaticNewton(own, condensed=condensed).follow_waypoints(progress)
+        )
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,15 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 25
+_METHOD_VERSION = 26
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
+# Cells in a contact that is longer than wide are up to this many times as long as wide.
+_LONGEST_CELL = 2.0
+# A quality's load steps are those on a gel of this thickness, and are as long on a thicker one if the contact's radius
+# is less than these.
+_STEPS_THICKNESS_MM = 3.0
+_PRESS_STEP_RADIUS_MM, _TRAVEL_STEP_RADIUS_MM = 0.2, 0.4
 # The mesh is made for the indenter as it stands this often while it turns.
 _TURN_BETWEEN_STANDS_DEG = 5.0
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
@@ -278,6 +284,11 @@ class ContactProblem:
         """How far apart the membrane's vertices are where it is touched."""
         return min(self.meshed_radius_mm / self.mesh_size.across, self.widest_cell_mm)
 
+    def cell_along_mm(self, axis: int) -> float:
+        """Return the same along x or y (axis 0, 1): a long contact is as many cells long as wide, or nearly so."""
+        along_mm = min(self.half_cut_mm[axis] / self.mesh_size.across, self.widest_cell_mm)
+        return min(max(along_mm, self.cell_mm), _LONGEST_CELL * self.cell_mm)
+
     @property
     def stiffness_excess(self) -> float:
         """By what share the mesh is stiffer than the gel."""
@@ -304,11 +315,21 @@ class ContactProblem:
         lever_mm = math.hypot(radius_mm, self.indenter.origin_height_mm)
         return abs(twist) * radius_mm + math.hypot(*roll) * lever_mm
 
+    def _step_scale(self, radius_mm: float) -> float:
+        """Return how many times as long as the quality's load steps are, by thickness and the contact's radius.
+
+        A scene that is larger by a factor is solved in the same number of steps.
+        """
+        larger = min(self.thickness_mm / _STEPS_THICKNESS_MM, self.meshed_radius_mm / radius_mm)
+        return max(1.0, larger)
+
     def steps(self, change: Floats) -> int:
         """Return in how many load steps the indenter moves and turns by a change (6,) of its command."""
         x, y, z = change[:3]
         travel_mm = math.hypot(x, y) + self.arc_mm(change[3:])
-        steps = max(abs(z) / self.quality.press_step_mm, travel_mm / self.quality.travel_step_mm)
+        press_step_mm = self.quality.press_step_mm * self._step_scale(_PRESS_STEP_RADIUS_MM)
+        travel_step_mm = self.quality.travel_step_mm * self._step_scale(_TRAVEL_STEP_RADIUS_MM)
+        steps = max(abs(z) / press_step_mm, travel_mm / travel_step_mm)
         return max(1, math.ceil(steps - 1e-9))
 
     @property

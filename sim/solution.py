@@ -5,7 +5,7 @@ The cache has one file per key, safe for concurrent writers and for a crash.
 
 import io
 import time
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,8 @@ _STACKED = (
     "converged",
     "contact_force_n",
     "torque_n_mm",
+    "moved_mm",
+    "moved_error",
 )
 # A vertex sticks if its friction is below this share of Coulomb's bound.
 _STICKING_SHARE = 0.99
@@ -70,7 +72,8 @@ class Record:
     `displacement_mm` (n, 3) belongs to the solution's surface vertices, `normal_force_n` (n,) is the normal contact
     force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the indenter's displacement from
     touching the gel, turned as it is, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the
-    contact point, the origin of the problem's frame.
+    contact point, the origin of the problem's frame. The state of a steady slide is one from earlier on the way, moved
+    by `moved_mm` (2,), vertices and all; its force is off by a share `moved_error` for that.
     """
 
     displacement_mm: NDArray[np.float32]
@@ -81,6 +84,8 @@ class Record:
     torque_n_mm: NDArray[np.float64]
     converged: bool
     diagnostics: SolveDiagnostics
+    moved_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    moved_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +106,7 @@ class Solution:
 
         Vertices in the plane of symmetry keep the force on one half.
         """
-        rest, displacement = self.rest_mm, record.displacement_mm.astype(float)
+        rest, displacement = self.rest_mm + record.moved_mm, record.displacement_mm.astype(float)
         force = record.normal_force_n.astype(float)
         if not self.problem.symmetric:
             return rest, displacement, force
