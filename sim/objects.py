@@ -107,7 +107,7 @@ def _letters(x: Floats, y: Floats) -> Floats:
     for place, letter in enumerate("GEL"):
         u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.25) / 2.5
         for ends in _LETTERS[letter]:
-            inside |= _stroke(u, v, ends) < 0.12
+            inside |= _stroke(u, v, ends) < 0.17
     return _solid(inside)
 
 
