@@ -70,6 +70,34 @@ def decode_image(data: bytes) -> np.ndarray:
     return np.ascontiguousarray(image[..., ::-1])
 
 
+def read_levels(path: Path | str) -> np.ndarray:
+    """Return the levels (h, w) of a grey image of 8 or 16 bits as they are stored, uint8 or uint16.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no image, has colours, or pixels of another kind.
+    """
+    import cv2
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist or is not a file; an image is needed")
+    try:
+        data = path.read_bytes()
+        stated_size_px(data)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None or image.dtype not in (np.uint8, np.uint16):
+            raise ValueError("its pixels are not of 8 or 16 bits")
+        if image.ndim == 3 and (image[..., :3] != image[..., :1]).any():
+            raise ValueError("it has colours: save it as grey")
+    except (ValueError, cv2.error) as error:
+        raise ValueError(f"{path} is not readable: {error}") from None
+    return image if image.ndim == 2 else image[..., 0]
+
+
 def _from_16_bits(image: np.ndarray) -> np.ndarray:
     peak = int(image.max())
     if 0 < peak < _LEAST_16_BIT_PEAK:

@@ -29,4 +29,5 @@ from .shapes import load_indenter as load_indenter
 from .slip import Slip as Slip
 from .solution import clear_cache as clear_cache
 from .solved import SolvedPose as SolvedPose
+from .surface import Surface as Surface
 from .traction import Traction as Traction

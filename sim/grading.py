@@ -28,6 +28,7 @@ _INWARDS = 0.5
 _CONTACT_PLACES = 33
 # The smallest radius of curvature that a mesh serves, in cells of a sphere's contact of the same radius.
 _SHARPEST_CELLS = 0.35
+_FINEST_TRIED = 8
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,17 @@ def sizes_along(
     face they widen to half as much again as those of a contact as wide as the gel is thick.
     """
     parts = zip(*(_sizes_under(problem, *stand, axis, swept_mm) for stand in problem.stands), strict=True)
-    return Sizes(*map(np.concatenate, parts), largest_mm)
+    sizes = Sizes(*map(np.concatenate, parts), largest_mm)
+    if problem.indenter.convex:
+        return sizes
+    # Cells along a body of many features are as fine as their number allows.
+    low, high = np.reshape(problem.cut_mm, (2, 2))[axis] + swept_mm
+    finest_mm = np.geomspace(sizes.size_mm.min(), problem.cell_mm, _FINEST_TRIED)
+    for least_mm in finest_mm:
+        sizes = replace(sizes, size_mm=np.maximum(sizes.size_mm, least_mm))
+        if len(sizes.positions_mm(low, high)) <= problem.most_cells_along + 1:
+            break
+    return sizes
 
 
 def _sizes_under(
@@ -83,6 +94,9 @@ def _sizes_under(
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
     middle = np.linspace(low, high, _CONTACT_PLACES)
+    if not body.convex and len(places):
+        # Between its parts, which it touches with none, there is nothing to be fine for.
+        middle = np.concatenate([[low], places[:: 1 + len(places) // _CURVED_PLACES], [high]])
     widest_mm = max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
     widened = np.minimum(cell_mm + growth * np.minimum(middle - low, high - middle), widest_mm)
     # Only under a flat face all of the contact is there from the first touch on.

@@ -35,13 +35,14 @@ class Projection(NamedTuple):
 
 
 class Indenter(Settings, ABC):
-    """A convex rigid body.
+    """A rigid body, `convex` unless its class says otherwise.
 
     Points (…, 3) are mm from the body's origin, with axes parallel to the sensor's. A shape is a subclass and a part of
     `AnyIndenter`; the names of its fields tell it from other shapes in a recipe.
     """
 
     shape: ClassVar[str]
+    convex: ClassVar[bool] = True
 
     @property
     @abstractmethod
@@ -90,6 +91,10 @@ class Indenter(Settings, ABC):
         """Return (x min, x max, y min, y max) of where the body, at a depth, cuts the undeformed membrane."""
         radius_mm = self.penetration_radius_mm(depth_mm)
         return -radius_mm, radius_mm, -radius_mm, radius_mm
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """Return the radius of the widest disc in what the body, at a depth, cuts of the membrane; about, if convex."""
+        return float(np.ptp(np.reshape(self.cut_mm(depth_mm), (2, 2)), axis=1).min()) / 2
 
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Return where along x or y (axis 0, 1) the surface that a press reaches is more curved than a sphere's.

@@ -129,7 +129,7 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
 def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
     """Return plane cells for a contact that is round, and the width of the finest."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
-    contact = problem.meshed_radius_mm
+    contact = min(problem.half_cut_mm)
     *axis, aside, direction = straightest_line(problem.segments[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)

@@ -32,6 +32,10 @@ _JUST_BELOW_MM = 1e-4
 _NUMBERS_AT_A_TIME = 10_000_000
 
 
+class NotConvexError(ValueError):
+    """A body is not convex where it touches the gel."""
+
+
 def convex_part(
     path: Path, unit: MeshUnit | None, flip: bool, edge_radius_mm: float
 ) -> tuple[Floats, Floats]:
@@ -45,21 +49,43 @@ def convex_part(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is no mesh, its size is not credible, or its lower end is not convex or too small for the rounding.
+        If it is no mesh, its size is not credible, or it is too small for the rounding; NotConvexError if its lower end
+        is not convex.
     """
     from scipy.spatial import QhullError
 
     try:
-        mesh = _read(path, unit)
-        if flip:
-            mesh.vertices *= [1, -1, -1]
+        mesh = _standing(path, unit, flip)
         # Trimesh divides by the volume, which a flat body has not.
         with np.errstate(divide="ignore", invalid="ignore"):
             return _part(mesh, path.name, edge_radius_mm)
     except QhullError:
         raise ValueError(f"indenter = {str(path)!r}: is flat where it touches the gel") from None
     except ValueError as error:
+        raise type(error)(f"indenter = {str(path)!r}: {error}") from None
+
+
+def lower_end(path: Path, unit: MeshUnit | None, flip: bool, most_mm: float) -> tuple[Floats, float]:
+    """Return the triangles (n, 3, 3) of a mesh file up to its middle or `most_mm`, and the height of all of it.
+
+    The lowest lies at z = 0, and the middle of what lies there on the axis. Errors are those of `convex_part`.
+    """
+    try:
+        mesh = _standing(path, unit, flip)
+    except ValueError as error:
         raise ValueError(f"indenter = {str(path)!r}: {error}") from None
+    height_mm = float(mesh.extents[2])
+    lowest = mesh.vertices[mesh.vertices[:, 2] < SAME_MM]
+    mesh.vertices[:, :2] -= (lowest[:, :2].min(axis=0) + lowest[:, :2].max(axis=0)) / 2
+    return np.array(_below(mesh, min(height_mm, most_mm)).triangles), height_mm
+
+
+def _standing(path: Path, unit: MeshUnit | None, flip: bool) -> "Trimesh":
+    mesh = _read(path, unit)
+    if flip:
+        mesh.vertices *= [1, -1, -1]
+    mesh.vertices[:, 2] -= mesh.bounds[0, 2]
+    return mesh
 
 
 def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
@@ -107,7 +133,6 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
 
 
 def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Floats]:
-    mesh.vertices[:, 2] -= mesh.bounds[0, 2]
     convex_mm, part, above = _convex_mm(mesh), mesh, np.zeros((0, 3))
     if convex_mm < mesh.extents[2]:
         part = _below(mesh, convex_mm)
@@ -156,7 +181,7 @@ def _convex_mm(mesh: "Trimesh") -> float:
             not_convex = level
         level = (convex + not_convex) // 2
     if convex < 0:
-        raise ValueError(
+        raise NotConvexError(
             f"must be convex where it touches the gel: its surface lies {off_mm:.2g} mm inside its convex hull, of "
             f"{_CONVEX_WITHIN_MM:g} mm at most, at x, y = {place[0]:.2f}, {place[1]:.2f} mm, {place[2]:.2f} mm above "
             "the lowest point; press its other side, with flip = true or without"

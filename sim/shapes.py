@@ -13,13 +13,19 @@ from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
-from gelgap.sim.mesh_file import SAME_MM, MeshUnit, convex_part
+from gelgap.sim.mesh_file import SAME_MM, MeshUnit, NotConvexError, convex_part
+from gelgap.sim.objects import OBJECTS, object_surface
 from gelgap.sim.rounded import RoundedHull, RoundedProfile, Shape
+from gelgap.sim.surface import MAP_SUFFIXES, Surface
 
 # Bodies whose height no field says are as high as they are wide, and at least this high.
 _SMALLEST_HEIGHT_MM = 10.0
 # Beside a body the gel rises by up to a quarter of the depth (8 × 8 mm on 4 mm of gel: by 0.14 of it).
 _STAYS_OFF = 0.8
+
+# What follows from a file, and nobody gives.
+_OF_THE_FILE = ("hull_mm", "above_mm", "heights", "columns", "height_mm")
+_OF_A_MAP = ("spacing_mm", "step_mm")
 
 Size = Annotated[float, within(0.5, 50.0, "mm")]
 Rounding = Annotated[float, within(0.01, 25.0, "mm")]
@@ -279,11 +285,10 @@ class ConvexMesh(RoundedHull):
         return _points_mm(self.hull_mm) + np.array([0.0, 0.0, self.edge_radius_mm])
 
 
-AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh
+AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh | Surface
 """Type of a field that holds any shape; pydantic tells shapes apart by the names of their fields."""
 BODIES: tuple[type[Indenter], ...] = get_args(AnyIndenter)
-SHAPES = {body.shape: body for body in BODIES if body is not ConvexMesh}
-_OF_THE_FILE = ("hull_mm", "above_mm")
+SHAPES = {body.shape: body for body in BODIES if body not in (ConvexMesh, Surface)}
 
 
 def fields_of(body: type[Indenter]) -> dict[str, str]:
@@ -296,9 +301,10 @@ def fields_of(body: type[Indenter]) -> dict[str, str]:
 
 
 def load_indenter(name: str, **fields: Any) -> AnyIndenter:
-    """Return the indenter of a shape's name, a preset, a TOML file or a mesh file, with some fields given anew.
+    """Return the indenter of a shape's name, a preset, a TOML, mesh or map file, with some fields given anew.
 
-    A TOML file has `shape`, or `mesh` as a path beside it, and the shape's fields.
+    A TOML file has `shape`, or `mesh` or `map` as a path beside it, and the shape's fields. A mesh that is not convex
+    where the gel reaches, and a height map, become a `Surface`.
 
     Raises
     ------
@@ -313,7 +319,7 @@ def load_indenter(name: str, **fields: Any) -> AnyIndenter:
         with named_in_errors(name):
             return _from_table(read_toml(name), Path(name).parent, fields)
     if "." in name:
-        return _made(ConvexMesh, fields, Path(name))
+        return _of_file(Path(name), fields)
     known = (*SHAPES, *list_presets("indenters"))
     if name not in known:
         hint = "known ones, or name a .toml or a mesh file"
@@ -323,20 +329,41 @@ def load_indenter(name: str, **fields: Any) -> AnyIndenter:
 
 def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) -> AnyIndenter:
     values.pop("description", None)
-    mesh, shape = values.pop("mesh", None), values.pop("shape", None)
-    if mesh is not None and shape is None:
-        return _made(ConvexMesh, values | fields, folder / str(mesh))
+    file, shape = values.pop("mesh", values.pop("map", None)), values.pop("shape", None)
+    if file is not None and shape is None:
+        return _of_file(folder / str(file), values | fields)
+    if (name := values.pop("object", None)) is not None and shape is None:
+        if name not in OBJECTS:
+            raise ValueError(unknown_name("object", str(name), tuple(OBJECTS), "known objects"))
+        _check_fields(Surface, values | fields, without=_OF_A_MAP)
+        return object_surface(name, **values | fields)
     if shape not in SHAPES:
         raise ValueError(unknown_name("shape", str(shape), tuple(SHAPES), "known shapes"))
     return _made(SHAPES[shape], values | fields)
 
 
-def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) -> Any:
-    known = fields_of(shape)
+def _of_file(path: Path, fields: dict[str, Any]) -> Any:
+    """Return the body of a mesh file, convex if it is where the gel reaches, or of a height map."""
+    if path.suffix.lower() in MAP_SUFFIXES:
+        _check_fields(Surface, fields)
+        return Surface.load(path, **fields)
+    _check_fields(ConvexMesh, fields)
+    try:
+        return ConvexMesh.load(path, **fields)
+    except NotConvexError:
+        return Surface.load(path, **fields)
+
+
+def _made(shape: type[Any], fields: dict[str, Any]) -> Any:
+    _check_fields(shape, fields)
+    return shape(**fields)
+
+
+def _check_fields(body: type[Any], fields: dict[str, Any], without: tuple[str, ...] = ()) -> None:
+    known = [name for name in fields_of(body) if name not in without]
     for name in fields:
         if name not in known:
-            raise ValueError(f"{name}: a {shape.shape} has none; it has {', '.join(known)}")
-    return shape(**fields) if mesh is None else shape.load(mesh, **fields)
+            raise ValueError(f"{name}: a {body.shape} has none; it has {', '.join(known)}")
 
 
 def _by(size_mm: Floats) -> str:

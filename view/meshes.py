@@ -14,6 +14,7 @@ from gelgap.render import Camera
 from gelgap.sim import MembraneState, SolvedPose
 from gelgap.sim.library import LibraryPose
 from gelgap.sim.shapes import AnyIndenter
+from gelgap.sim.surface import Surface
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
@@ -66,7 +67,12 @@ def indenter_centre_mm(
 
 
 def indenter_mesh(indenter: AnyIndenter) -> trimesh.Trimesh:
-    """Return the surface of the indenter around its origin: the hull of what is nearest to points far around it."""
+    """Return the surface of the indenter around its origin: the hull of what is nearest to points far around it.
+
+    Of a body that is not convex it is the underside.
+    """
+    if isinstance(indenter, Surface):
+        return trimesh.Trimesh(*indenter.mesh_mm, process=False)
     around = trimesh.creation.icosphere(subdivisions=3 if indenter.shape == "sphere" else 5, radius=_FAR_MM)
     return trimesh.convex.convex_hull(indenter.project(around.vertices.view(np.ndarray)).points_mm)
 

@@ -1,0 +1,127 @@
+"""Everyday objects made by code: the heights of what each shows to the gel, larger further away from it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from gelgap.sim.indenter import Floats
+from gelgap.sim.surface import Surface
+
+_SPACING_MM = 0.04
+_HALF_MM = 3.6
+_RELIEF_MM = 0.8
+# Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
+_LETTERS = {
+    "G": (
+        (0.9, 0.1, 0.1, 0.1),
+        (0.1, 0.1, 0.1, 0.9),
+        (0.1, 0.9, 0.9, 0.9),
+        (0.9, 0.9, 0.9, 0.5),
+        (0.9, 0.5, 0.5, 0.5),
+    ),
+    "E": ((0.1, 0.1, 0.1, 0.9), (0.1, 0.1, 0.9, 0.1), (0.1, 0.5, 0.7, 0.5), (0.1, 0.9, 0.9, 0.9)),
+    "L": ((0.1, 0.1, 0.1, 0.9), (0.1, 0.9, 0.9, 0.9)),
+}
+
+
+def object_surface(name: str, edge_radius_mm: float = 0.2, **fields: Any) -> Surface:
+    """Return an object of that name as a body; its relief, or at least 0.8 mm of it, can be pressed in."""
+    count = round(_HALF_MM / _SPACING_MM)
+    place = np.arange(-count, count + 1) * _SPACING_MM
+    heights_mm = OBJECTS[name](*np.meshgrid(place, place))
+    relief_mm = float(np.ptp(heights_mm[np.isfinite(heights_mm)]))
+    fields |= {"height_mm": 2 * max(relief_mm, _RELIEF_MM), "edge_radius_mm": edge_radius_mm}
+    return Surface.of(heights_mm, _SPACING_MM, **fields)
+
+
+def _solid(inside: Floats, base_mm: float = _RELIEF_MM) -> Floats:
+    """Return a relief whose faces are `inside`, on a plate a relief's height further up."""
+    return np.where(inside, 0.0, base_mm)
+
+
+def _balls(
+    x: Floats, y: Floats, centres: list[tuple[float, float]], radius_mm: float, cap_mm: float
+) -> Floats:
+    """Return balls that stand out of a plate by `cap_mm`."""
+    height = np.full(x.shape, cap_mm)
+    for u, v in centres:
+        square = (x - u) ** 2 + (y - v) ** 2
+        ball = radius_mm - np.sqrt(np.maximum(radius_mm**2 - square, 0.0))
+        height = np.minimum(height, np.where(square < radius_mm**2, ball, cap_mm))
+    return height
+
+
+def _hexagon(x: Floats, y: Floats) -> Floats:
+    turns = np.radians([0, 60, 120])
+    return np.max([np.abs(x * np.cos(turn) + y * np.sin(turn)) for turn in turns], axis=0)
+
+
+def _stroke(x: Floats, y: Floats, ends: tuple[float, ...]) -> Floats:
+    """Return how far places are from a line between two points."""
+    x0, y0, x1, y1 = ends
+    along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2), 0, 1)
+    return np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0))
+
+
+def _ring(x: Floats, y: Floats) -> Floats:
+    off = np.hypot(x, y) - 2.4
+    return np.where(np.abs(off) < 0.8, 0.8 - np.sqrt(np.maximum(0.64 - off**2, 0)), np.inf)
+
+
+def _key(x: Floats, y: Floats) -> Floats:
+    """Return the bitting of a key that lies on its side."""
+    depth = np.interp(
+        x,
+        [-3, -2.4, -1.8, -1.2, -0.6, 0, 0.6, 1.2, 1.8, 2.4],
+        [0.9, 0.2, 0.2, 1.0, 1.0, 0.4, 0.4, 1.2, 1.2, 0.3],
+    )
+    inside = (np.abs(x) < 3.0) & (y > -1.2) & (y < depth)
+    return np.where(inside, np.where(np.abs(y + 0.5) < 0.25, 0.4, 0.0), np.inf)
+
+
+def _coin(x: Floats, y: Floats) -> Floats:
+    radius, square = np.hypot(x, y), np.maximum(np.abs(x), np.abs(y))
+    height = np.where(
+        (radius > 2.7) | (_stroke(x, y, (-1.2, 0.9, 1.2, 0.9)) < 0.3) | (square < 0.7), 0.0, 0.3
+    )
+    return np.where(radius < 3.3, height, np.inf)
+
+
+def _screw(x: Floats, y: Floats) -> Floats:
+    """Return a round head with a cross in it."""
+    cross = np.minimum(np.abs(x), np.abs(y)) < 0.4
+    radius = np.hypot(x, y)
+    dome = 9.0 - np.sqrt(np.maximum(81.0 - radius**2, 0.0))
+    return np.where(radius < 2.8, np.where(cross & (radius < 1.8), dome + 0.8, dome), np.inf)
+
+
+def _lattice(x: Floats, y: Floats) -> Floats:
+    """Return wires of 0.8 mm, 1.8 mm apart, that cross."""
+    wires = [0.4 - np.sqrt(np.maximum(0.16 - ((c + 0.9) % 1.8 - 0.9) ** 2, 0.0)) for c in (x, y)]
+    return np.minimum(wires[0], wires[1] + 0.1)
+
+
+def _letters(x: Floats, y: Floats) -> Floats:
+    inside = np.zeros(x.shape, dtype=bool)
+    for place, letter in enumerate("GEL"):
+        u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.25) / 2.5
+        for ends in _LETTERS[letter]:
+            inside |= _stroke(u, v, ends) < 0.17
+    return _solid(inside)
+
+
+OBJECTS: dict[str, Callable[[Floats, Floats], Floats]] = {
+    "ring": _ring,
+    "two-balls": lambda x, y: _balls(x, y, [(-1.4, 0.0), (1.4, 0.0)], 1.3, 1.2),
+    "nut": lambda x, y: np.where((_hexagon(x, y) < 2.7) & (np.hypot(x, y) > 1.5), 0.0, np.inf),
+    "key": _key,
+    "knurl": lambda x, y: 0.25 * (2 - np.cos(np.pi * (x + y) / 1.1) - np.cos(np.pi * (x - y) / 1.1)),
+    "coin": _coin,
+    "screw": _screw,
+    "braille": lambda x, y: _balls(x, y, [(-1.25, -2.3), (-1.25, 0.0), (1.25, 0.0), (-1.25, 2.3)], 0.9, 0.5),
+    "step": lambda x, y: _solid(x < 0),
+    "corner": lambda x, y: _solid((x < 0) & (y < 0)),
+    "lattice": _lattice,
+    "letters": _letters,
+}

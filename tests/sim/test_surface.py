@@ -1,0 +1,167 @@
+"""Bodies by their surface: any underside is pressed at its size, and what is none is refused in a sentence."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from pydantic import TypeAdapter
+
+from gelgap.sim import Cylinder, Elastomer, Pose, Sharing, Sphere, Surface, load_indenter, solve_pose
+from gelgap.sim.height_grid import lower_side_mm, rolled_mm
+from gelgap.sim.indenter import Symmetry
+from gelgap.sim.objects import OBJECTS
+from gelgap.sim.shapes import AnyIndenter
+
+
+def over_a_square(half_mm: float, spacing_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    count = round(half_mm / spacing_mm)
+    place = np.arange(-count, count + 1) * spacing_mm
+    return np.meshgrid(place, place)
+
+
+def ball_mm(x: np.ndarray, y: np.ndarray, radius_mm: float) -> np.ndarray:
+    square = x**2 + y**2
+    height = radius_mm - np.sqrt(np.maximum(radius_mm**2 - square, 0.0))
+    return np.where(square <= radius_mm**2, height, np.inf)
+
+
+BALL = Surface.of(ball_mm(*over_a_square(1.52, 0.04), 1.5), 0.04, height_mm=3.0)
+X, Y = over_a_square(3.0, 0.05)
+TWO = Surface.of(np.minimum(ball_mm(X - 1.5, Y, 1.2), ball_mm(X + 1.5, Y, 1.2)), 0.05, height_mm=2.4)
+
+
+def test_the_surface_of_a_ball_is_the_sphere() -> None:
+    rng = np.random.default_rng(0)
+    outwards = rng.normal(size=(500, 3))
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    outwards[:, 2] = -np.abs(outwards[:, 2])
+    points = np.array([0.0, 0.0, 1.5]) + outwards * rng.uniform(1.4, 1.7, (500, 1))
+    points = points[points[:, 2] < 0.9]
+    sphere, found = Sphere().project(points - [0.0, 0.0, 1.5]), BALL.project(points)
+    np.testing.assert_allclose(found.distance_mm, sphere.distance_mm, atol=3e-3)
+    assert (found.outward_normal * sphere.outward_normal).sum(axis=1).min() > np.cos(np.radians(2))
+    assert BALL.symmetry is Symmetry.REVOLUTION
+    assert BALL.penetration_radius_mm(0.4) == pytest.approx(Sphere().penetration_radius_mm(0.4), abs=2e-3)
+    assert BALL.curvature(0.4, 0, 0.1)[1].min() == pytest.approx(1.5, abs=0.15)
+
+
+def test_the_gradient_is_continuous_where_two_bodies_meet() -> None:
+    x = np.linspace(-0.2, 0.2, 401)
+    normal = TWO.project(np.stack([x, 0 * x, 0 * x + 0.9], 1)).outward_normal
+    assert np.linalg.norm(np.diff(normal, axis=0), axis=1).max() < 0.4
+
+
+def test_a_cut_of_several_patches_has_the_width_of_one() -> None:
+    radius_mm = np.sqrt(2 * 1.2 * 0.2 - 0.2**2)
+    assert TWO.cut_mm(0.2) == pytest.approx(
+        (-1.5 - radius_mm, 1.5 + radius_mm, -radius_mm, radius_mm), abs=0.01
+    )
+    assert TWO.contact_radius_mm(0.2) == pytest.approx(radius_mm, abs=0.03)
+    assert TWO.symmetry is Symmetry.MIRROR
+    assert TWO.yawed(30.0).symmetry is Symmetry.NONE
+    assert TWO.yawed(90.0).cut_mm(0.2)[3] == pytest.approx(1.5 + radius_mm, abs=0.01)
+    tilted = TWO.model_copy(update={"tilt_deg": (0.0, 10.0)})
+    assert tilted.origin_height_mm > 1.5 * np.sin(np.radians(10)) - 0.05
+
+
+def test_a_ball_rounds_edges_and_fills_creases() -> None:
+    inside = np.abs(X) < 1.5
+    face = rolled_mm(np.where(inside, 0.0, np.inf), 0.5, 0.05)
+    np.testing.assert_allclose(face[30, np.abs(X[0]) < 0.99], 0.0, atol=1e-12)
+    at = np.abs(X[0] - 1.2).argmin()
+    assert face[30, at] == pytest.approx(0.5 - np.sqrt(0.5**2 - 0.25**2), abs=0.03)
+    groove = rolled_mm(np.where(np.abs(X) < 0.3, 1.0, 0.0), 0.5, 0.05)
+    # It enters until it touches both rounded lips, 1.6 mm apart.
+    assert groove[30, 60] == pytest.approx(0.4, abs=0.03)
+
+
+def test_the_lowest_of_what_crosses_itself_counts() -> None:
+    plate, ball = trimesh.creation.box((4, 4, 1)), trimesh.creation.icosphere(subdivisions=4, radius=1)
+    both = trimesh.util.concatenate([plate, ball])
+    heights = lower_side_mm(np.array(both.triangles), (2.5, 2.5), 0.05)
+    middle = heights.shape[0] // 2
+    assert heights[middle, middle] == pytest.approx(-1.0, abs=2e-3)
+    assert heights[middle, middle + 30] == pytest.approx(-0.5)
+    assert heights[middle, 0] == np.inf
+
+
+def test_a_mesh_that_is_not_convex_is_pressed_by_its_surface(tmp_path: Path) -> None:
+    trimesh.creation.torus(2, 0.6).export(tmp_path / "ring.stl")
+    ring = load_indenter(str(tmp_path / "ring.stl"))
+    assert isinstance(ring, Surface)
+    assert ring.height_mm == pytest.approx(1.2, abs=0.01)
+    assert ring.contact_radius_mm(0.2) == pytest.approx(np.sqrt(2 * 0.6 * 0.2 - 0.04), abs=0.03)
+    kind = TypeAdapter(AnyIndenter)
+    assert kind.validate_json(kind.dump_json(ring)) == ring
+
+
+def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
+    values = np.zeros((60, 80), np.uint16)
+    values[20:40, 30:50] = 20_000
+    cv2.imwrite(str(tmp_path / "relief.png"), values)
+    (tmp_path / "relief.toml").write_text('map = "relief.png"\nspacing_mm = 0.1\nstep_mm = 5e-5\n')
+    relief = load_indenter(str(tmp_path / "relief.toml"))
+    assert relief.deepest_mm == pytest.approx(1.0)
+    np.testing.assert_allclose(relief.cut_mm(0.5), [-1, 1, -1, 1], atol=0.1)
+    np.save(tmp_path / "relief.npy", values * 5e-5)
+    assert load_indenter(str(tmp_path / "relief.npy"), spacing_mm=0.1).cut_mm(0.5) == relief.cut_mm(0.5)
+
+
+@pytest.mark.parametrize(
+    ("values", "fields", "message"),
+    [
+        (np.ones((20, 20)), {"spacing_mm": 0.1}, "is empty: its heights differ by 0 µm"),
+        (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "hold NaN"),
+        (np.eye(20), {}, "spacing_mm = None: a height map needs it"),
+        (np.eye(20), {"spacing_mm": 0.1, "step_mm": -1.0}, "step_mm = -1.0: a height map needs it"),
+        (np.zeros(20), {"spacing_mm": 0.1}, "must be 3 to"),
+        (np.array([["a"]]), {"spacing_mm": 0.1}, "must be numbers"),
+        (np.array([None]), {"spacing_mm": 0.1}, "is not a .npy file of numbers"),
+        (np.eye(20), {"spacing_mm": 0.1, "diameter_mm": 3}, "diameter_mm: a surface has none"),
+    ],
+)
+def test_what_is_no_height_map_is_refused(
+    tmp_path: Path, values: np.ndarray, fields: dict, message: str
+) -> None:
+    np.save(tmp_path / "map.npy", values)
+    with pytest.raises(ValueError, match=message):
+        load_indenter(str(tmp_path / "map.npy"), **fields)
+
+
+def test_what_is_thinner_than_its_rounding_is_refused() -> None:
+    with pytest.raises(ValueError, match="more than half as wide"):
+        Surface.of(np.where(np.abs(X) < 0.2, 0.0, np.inf), 0.05, height_mm=3.0, edge_radius_mm=0.5)
+
+
+def test_a_surface_of_damaged_heights_is_refused() -> None:
+    for heights in ("", "AAAA", BALL.heights[:-8]):
+        with pytest.raises(ValueError, match="heights"):
+            Surface.model_validate(BALL.model_dump() | {"heights": heights})
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_an_object_is_a_preset(name: str) -> None:
+    body = load_indenter(name, edge_radius_mm=0.0)
+    assert isinstance(body, Surface)
+    assert body.deepest_mm >= 0.8
+    assert np.ptp(np.reshape(body.cut_mm(0.3), (2, 2)), axis=1).min() > 1.5
+
+
+def test_a_press_takes_the_closed_forms_force() -> None:
+    gel = Elastomer.preset("b0")
+    punch = Cylinder(diameter_mm=2.0, edge_radius_mm=0.4)
+    along = np.hypot(*over_a_square(1.04, 0.04)) - 0.6
+    heights = np.where(
+        along <= 0.4, 0.4 - np.sqrt(np.maximum(0.16 - np.maximum(along, 0.0) ** 2, 0.0)), np.inf
+    )
+    bodies = punch, Surface.of(heights, 0.04, height_mm=10.0)
+    own, surface = (
+        solve_pose(gel, body, Pose(depth_mm=0.3), "draft", Sharing(cache=False)) for body in bodies
+    )
+    assert surface.converged
+    assert surface.force_n[2] == pytest.approx(own.force_n[2], rel=0.015)
+    near = np.hypot(*np.meshgrid(own.x_mm, own.y_mm)) < 3
+    off_mm = surface.displacement_mm - own.displacement_mm
+    assert np.sqrt((off_mm[near] ** 2).mean()) < 4e-3
