@@ -18,7 +18,6 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.image_file import read_levels
 from gelgap.assets.settings import within
-from gelgap.sim.height_grid import interpolated, lower_side_mm, rolled_mm, signed_distance
 from gelgap.sim.indenter import Floats, Symmetry
 from gelgap.sim.mesh_file import MeshUnit, lower_end
 from gelgap.sim.rounded import Shape
@@ -94,6 +93,8 @@ class Surface(Shape):
         ValueError
             If heights are no numbers, all the same, or thinner than what `edge_radius_mm` takes away.
         """
+        from gelgap.sim.height_grid import rolled_mm
+
         heights = np.asarray(heights_mm, float)
         if heights.ndim != 2 or min(heights.shape) < 3 or max(heights.shape) > _MOST_SIDE:
             raise ValueError(f"heights are {heights.shape}: must be 3 to {_MOST_SIDE} rows and columns")
@@ -150,6 +151,8 @@ class Surface(Shape):
         ValueError
             If it cannot be read, a map has no size, holds what is no number, or is empty.
         """
+        from gelgap.sim.height_grid import lower_side_mm
+
         path = Path(path)
         try:
             if path.suffix.lower() in MAP_SUFFIXES:
@@ -235,6 +238,8 @@ class Surface(Shape):
         return (directions @ corners.T).max(axis=1) + np.maximum(lifted, 0.0)
 
     def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
+        from gelgap.sim.height_grid import interpolated
+
         band = _band(self.heights, self.columns, self.spacing_mm, self.step_mm, self.deepest_mm)
         places = (points_mm[:, [1, 0, 2]] - band.corner_mm) / self.spacing_mm
         within = np.clip(places, 1.0, np.array(band.distance.shape) - 2.0)
@@ -381,6 +386,8 @@ def _is_same(own: Floats, image: Floats, share: Floats) -> bool:
 
 @lru_cache(maxsize=4)
 def _band(heights: str, columns: int, spacing_mm: float, step_mm: float, deepest_mm: float) -> _Band:
+    from gelgap.sim.height_grid import signed_distance
+
     grid = _decoded_mm(heights, columns, step_mm)
     top_mm = deepest_mm + _KEPT_ABOVE_MM
     margin = math.ceil(_OUTSIDE_MM / spacing_mm) + 2
