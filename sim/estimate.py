@@ -41,7 +41,8 @@ _VARIANCE_PER_CAUSE = (
     (0.0, 0.0, 0.206, 0.0, 0.0304),
 )
 # A mesh between lines has them anywhere, not in the middle of each patch: two balls of R 1.5, 9 mm apart and 0.5 deep
-# on 3 mm, have 1.9 % more force at `draft`, 2.8 at `standard`, than two alone. A share of it, times a cell over the radius.
+# on 3 mm, have 1.9 % more force at `draft`, 2.8 at `standard`, than two alone. A share of it, times a cell over the
+# radius.
 _BETWEEN_LINES = 0.1
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02

@@ -355,13 +355,16 @@ class StaticNewton:
     def _polished_record(self, converged: bool) -> Record:
         """Record the present state, once MuJoCo has accepted it.
 
-        A converged one that exceeds Coulomb's bound gets further iterations.
+        A converged one that exceeds Coulomb's bound, or pulls on a vertex that a kept tangent left in contact, gets
+        further iterations.
         """
         if converged and not self._accepted:
             self.iterate()
         record = self._record(converged)
         for _ in range(_POLISHING_ITERATIONS):
-            if not converged or record.diagnostics.coulomb_excess <= _LARGEST_COULOMB_EXCESS:
+            found = record.diagnostics
+            within = found.coulomb_excess <= _LARGEST_COULOMB_EXCESS and found.tension < _LARGEST_ERROR
+            if not converged or within:
                 break
             self.iterate()
             record = self._record(converged)
