@@ -149,8 +149,11 @@ class StaticNewton:
     def _advance(self, command: Floats) -> bool:
         """Take a load step, in halves if need be, and return whether it converged."""
         start, middle = self.state(), 0.5 * (self.command + command)
+        # A step of a small body's size can throw the gel off its edges, though it does not go up.
+        held = self.active.any() and command[2] <= self.command[2]
         converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP)
-        if converged and not ran_away:
+        lost = held and not self.active.any()
+        if converged and not ran_away and not lost:
             return True
         self.return_to(start)
         self.load_step(middle, _ITERATIONS_PER_HALF_STEP)
@@ -352,13 +355,16 @@ class StaticNewton:
     def _polished_record(self, converged: bool) -> Record:
         """Record the present state, once MuJoCo has accepted it.
 
-        A converged one that exceeds Coulomb's bound gets further iterations.
+        A converged one that exceeds Coulomb's bound, or pulls on a vertex that a kept tangent left in contact, gets
+        further iterations.
         """
         if converged and not self._accepted:
             self.iterate()
         record = self._record(converged)
         for _ in range(_POLISHING_ITERATIONS):
-            if not converged or record.diagnostics.coulomb_excess <= _LARGEST_COULOMB_EXCESS:
+            found = record.diagnostics
+            within = found.coulomb_excess <= _LARGEST_COULOMB_EXCESS and found.tension < _LARGEST_ERROR
+            if not converged or within:
                 break
             self.iterate()
             record = self._record(converged)

@@ -19,13 +19,15 @@ from gelgap.sim.solution import Record, Solution
 # some way before that as well.
 _TRAVELS_TO_SLIP = 1.3
 _EARLIER_SHARE = 0.75
+# A drag is straight if no waypoint is further than this share of its way from the line.
+_STRAIGHT_SHARE = 1e-4
 # It is solved to its end if that is no more than this many times as far.
 _SHORTENED_RATIO = 1.25
 # A slide is steady if no more of its load than the first of these shares sticks, and if its force changed by no more
 # than the second between the two looks.
 _STICKING_SHARE = 0.02
 _LARGEST_CHANGE = 0.01
-# What the pad's edges may change of the force on the way, as a share of what a quality promises.
+# What the pad's edges may change of the force along what is not solved, as a share of what a quality promises.
 _LARGEST_OF_EDGES = 0.5
 # An edge 2.4 thicknesses ahead of a contact of 0.47 of them in radius changes Fx by this, and half as much with every
 # 0.4 thicknesses (docs/physics.md, Near edges); it is taken to be in proportion to the radius.
@@ -91,6 +93,7 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
     # By the waypoint that a straight slide begins at, and its direction: the record where it ends, an earlier one, and
     # how far it goes.
     ends: dict[tuple[int, float, float], tuple[int, int, float]] = {}
+    lines: dict[int, tuple[int, float, float]] = {}
 
     def add(command: Floats, parent: int) -> int:
         commands.append(command)
@@ -111,7 +114,7 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
             parent < 0
             or start[2] != z
             or travelled > travel
-            or np.abs(start[:2] - travelled * along).max() > 1e-9
+            or np.abs(start[:2] - travelled * along).max() > _STRAIGHT_SHARE * travel
         ):
             return None
         slides_mm = _TRAVELS_TO_SLIP * travel_to_slip_mm(problem, -z)
@@ -121,7 +124,9 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
         root = parent
         while np.any(problem.waypoints_mm[root][:2]):
             root = problem.parents[root]
-        key = (root, *along.round(9).tolist())
+        # What goes on from a slide is of its line, whatever the rounding of its direction.
+        key = lines[parent] if isinstance(before, _Moved) else (root, *along.round(9).tolist())
+        lines[len(waypoints)] = key
         if key not in ends:
             # Beyond a waypoint that is solved it is to slide as far as between the two looks.
             ends_mm = max(slides_mm, min(travel, travelled + (1 - _EARLIER_SHARE) * slides_mm))
@@ -133,7 +138,7 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
                 end = add(np.array([*ends_mm * along, z]), earlier)
             ends[key] = end, earlier, ends_mm
         end, earlier, ends_mm = ends[key]
-        of_edges = max(_of_edges(problem, share * along) for share in (ends_mm, travel))
+        of_edges = _change_by_edges(problem, ends_mm * along, travel * along)
         if of_edges > _LARGEST_OF_EDGES * LARGEST_ESTIMATE[problem.quality.name]:
             return None
         waypoints.append(_Moved(end, earlier, (travel - ends_mm) * along, of_edges))
@@ -159,15 +164,16 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
     return 1.5 * problem.friction * depth_mm * stiffer / (1 + 3 * math.pi / 16 * chi)
 
 
-def _of_edges(problem: ContactProblem, place_mm: Floats) -> float:
-    """Return by what share the pad's edges change the force of a contact at a place (2,)."""
+def _change_by_edges(problem: ContactProblem, start_mm: Floats, end_mm: Floats) -> float:
+    """Return by what share the pad's edges change the force of a contact from one place (2,) to another."""
     if problem.pad_mm is None:
         return 0.0
     x_min, x_max, y_min, y_max = problem.pad_mm
-    x, y = place_mm
-    away = min(x_max - x, x - x_min, y_max - y, y - y_min) / problem.thickness_mm
+    away_mm = np.array([[x - x_min, x_max - x, y - y_min, y_max - y] for x, y in (start_mm, end_mm)])
     radius = problem.penetration_radius_mm / problem.thickness_mm
-    return _OF_EDGE * radius / _EDGE_RADIUS * 2 ** ((_EDGE_THICKNESSES - away) / _HALVED_BY)
+    effect = _OF_EDGE * radius / _EDGE_RADIUS
+    effects = effect * 2 ** ((_EDGE_THICKNESSES - away_mm / problem.thickness_mm) / _HALVED_BY)
+    return float(np.abs(effects[1] - effects[0]).sum())
 
 
 def _moved_record(record: Record, moved_mm: Floats, error: float) -> Record:

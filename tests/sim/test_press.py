@@ -164,8 +164,8 @@ def test_friction_survives_a_slide_over_the_rim() -> None:
     poses = tuple(Pose(depth_mm=2.4, point_x_mm=12.0, shear_x_mm=travel) for travel in (0.0, 0.5, 1.0, 1.5))
     states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft")
     assert all(state.converged for state in states)
-    # Load steps a fifth as long give 0.0209 N.
-    assert states[-1].force_n[0] == pytest.approx(0.0209, rel=0.03)
+    # Load steps a fifth as long give 0.0203 N, and `standard` 0.0202 N.
+    assert states[-1].force_n[0] == pytest.approx(0.0203, rel=0.03)
 
 
 def test_a_drag_near_the_brink_of_sliding_bears_what_it_should_and_is_flagged_where_the_membrane_folds() -> (
