@@ -23,7 +23,7 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 26
+_METHOD_VERSION = 27
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
 # Cells in a contact that is longer than wide are up to this many times as long as wide.
@@ -126,9 +126,6 @@ QUALITIES = {
     ),
 }
 
-# A mesh between lines is less stiff than the disc of its quality. Of a convex body's it is not known how much.
-# Calibrated on a ball of 3 mm by its surface, 0.3 and 0.6 deep on 3 mm at `draft` and `standard`, beside the disc's.
-_BETWEEN_LINES = 0.3
 # Along each axis, cells under a body that is not convex: what would need more of them is not resolved.
 _MOST_CELLS_ALONG = {"draft": 20, "standard": 32, "fine": 48}
 
@@ -314,8 +311,7 @@ class ContactProblem:
     @property
     def stiffness_excess(self) -> float:
         """By what share the mesh is stiffer than the gel."""
-        excess = self.mesh_size.stiffness_excess(self.moduli, self.contact_width)
-        return excess if self.indenter.convex or self.is_round else _BETWEEN_LINES * excess
+        return self.mesh_size.stiffness_excess(self.moduli, self.contact_width)
 
     @property
     def mesh_moduli(self) -> Moduli:
