@@ -27,7 +27,7 @@ _SHORTENED_RATIO = 1.25
 # than the second between the two looks.
 _STICKING_SHARE = 0.02
 _LARGEST_CHANGE = 0.01
-# What the pad's edges may change of the force along what is not solved, as a share of what a quality promises.
+# What the pad's edges may change of the force on the way, as a share of what a quality promises.
 _LARGEST_OF_EDGES = 0.5
 # An edge 2.4 thicknesses ahead of a contact of 0.47 of them in radius changes Fx by this, and half as much with every
 # 0.4 thicknesses (docs/physics.md, Near edges); it is taken to be in proportion to the radius.
@@ -138,7 +138,7 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
                 end = add(np.array([*ends_mm * along, z]), earlier)
             ends[key] = end, earlier, ends_mm
         end, earlier, ends_mm = ends[key]
-        of_edges = _change_by_edges(problem, ends_mm * along, travel * along)
+        of_edges = max(_of_edges(problem, share * along) for share in (ends_mm, travel))
         if of_edges > _LARGEST_OF_EDGES * LARGEST_ESTIMATE[problem.quality.name]:
             return None
         waypoints.append(_Moved(end, earlier, (travel - ends_mm) * along, of_edges))
@@ -164,16 +164,15 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
     return 1.5 * problem.friction * depth_mm * stiffer / (1 + 3 * math.pi / 16 * chi)
 
 
-def _change_by_edges(problem: ContactProblem, start_mm: Floats, end_mm: Floats) -> float:
-    """Return by what share the pad's edges change the force of a contact from one place (2,) to another."""
+def _of_edges(problem: ContactProblem, place_mm: Floats) -> float:
+    """Return by what share the pad's edges change the force of a contact at a place (2,)."""
     if problem.pad_mm is None:
         return 0.0
     x_min, x_max, y_min, y_max = problem.pad_mm
-    away_mm = np.array([[x - x_min, x_max - x, y - y_min, y_max - y] for x, y in (start_mm, end_mm)])
+    x, y = place_mm
+    away = min(x_max - x, x - x_min, y_max - y, y - y_min) / problem.thickness_mm
     radius = problem.penetration_radius_mm / problem.thickness_mm
-    effect = _OF_EDGE * radius / _EDGE_RADIUS
-    effects = effect * 2 ** ((_EDGE_THICKNESSES - away_mm / problem.thickness_mm) / _HALVED_BY)
-    return float(np.abs(effects[1] - effects[0]).sum())
+    return _OF_EDGE * radius / _EDGE_RADIUS * 2 ** ((_EDGE_THICKNESSES - away) / _HALVED_BY)
 
 
 def _moved_record(record: Record, moved_mm: Floats, error: float) -> Record:
