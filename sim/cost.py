@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from gelgap.sim.mesh import GelMesh, ordered_for_elimination, touchable, unordered_mesh
+from gelgap.sim.mesh import mesh_for, touchable, unordered_mesh
 from gelgap.sim.problem import QUALITIES, ContactProblem
 from gelgap.sim.steady import steady_slide
 
@@ -24,7 +24,7 @@ PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.0, 6.0, 9.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
 _GFLOP, _COUNTED_THOUSANDS = 0.045, 8.0
-# Above so many core seconds a solve is dear, and what makes it cheaper is said.
+# A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
@@ -50,9 +50,8 @@ def expected_work(problem: ContactProblem) -> Work:
     slide = steady_slide(problem)
     if slide is not None:
         problem = slide.solved
-    mesh = unordered_mesh(problem)
-    thousands = len(mesh.vertices_mm) / 1000
-    gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(mesh, problem)
+    thousands = len(unordered_mesh(problem).vertices_mm) / 1000
+    gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(problem)
     return Work(thousands, gflop, expected_iterations(problem))
 
 
@@ -70,12 +69,12 @@ def expected_iterations(problem: ContactProblem) -> float:
     return float(iterations)
 
 
-def _counted_gflop(mesh: GelMesh, problem: ContactProblem) -> float:
+def _counted_gflop(problem: ContactProblem) -> float:
     """Return the operations of all fronts of an elimination, in 10⁹."""
     from gelgap.sim.fronts import assembly_tree
 
+    mesh = mesh_for(problem)
     nodes = touchable(mesh, problem)
-    mesh = ordered_for_elimination(mesh, nodes)
     corners, moving = mesh.tetrahedra, len(mesh.vertices_mm) - len(mesh.bottom)
     # Vertices are numbered in reverse order of elimination, the bonded ones last.
     order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
