@@ -84,7 +84,7 @@ def _value(text: str) -> Any:
     with contextlib.suppress(tomllib.TOMLDecodeError):
         return tomllib.loads(f"value = {text}")["value"]
     with contextlib.suppress(ValueError):
-        return float(text)  # .5 and 5. are no numbers in TOML
+        return float(text)  # TOML does not allow .5 or 5.
     return text
 
 

@@ -42,7 +42,7 @@ def rolled_mm(heights_mm: Floats, radius_mm: float, spacing_mm: float) -> Floats
         return heights_mm
     x = np.arange(-reach, reach + 1) * spacing_mm
     square = radius_mm**2 - (x[:, None] ** 2 + x**2)
-    # scipy's grey dilation adds what its structuring element holds, and leaves out what is -inf.
+    # `_highest` leaves out places beyond the ball, which have -inf.
     ball = np.where(square >= 0, np.sqrt(np.maximum(square, 0.0)), -np.inf)
     # Beyond the grid there is nothing.
     heights = np.pad(heights_mm, 2 * reach, constant_values=np.inf)

@@ -38,7 +38,7 @@ _LEAST_RELIEF_MM = 5e-3
 _SAME_SHARE, _SAME_MM = 0.01, 5e-3
 _STEEP_SHARE = 0.5
 _TURNS_DEG = (37.0, 90.0)
-# Curvature is looked at in about this many places, and told for so many along an axis.
+# Curvature is sampled in about _CURVED_PLACES places, and summarised in _CURVED_STEPS intervals along an axis.
 _CURVED_PLACES, _CURVED_STEPS = 8000, 200
 
 
@@ -91,7 +91,7 @@ class Surface(Shape):
         Raises
         ------
         ValueError
-            If heights are no numbers, all the same, or thinner than what `edge_radius_mm` takes away.
+            If heights hold NaN, are all equal, or are so narrow that rounding by `edge_radius_mm` leaves nothing.
         """
         from gelgap.sim.height_grid import rolled_mm
 

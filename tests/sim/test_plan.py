@@ -165,7 +165,7 @@ def test_a_mirrored_corner_of_a_harder_gel_has_the_mirrored_force_and_torque(cac
     here, there = one.state(0, solution), other.state(0, solution)
     assert np.abs(here.torque_n_mm).min() > 1e-6
     np.testing.assert_allclose(there.force_n, 2 * here.force_n * [-1, 1, 1], rtol=1e-12)
-    # A torque is an axial vector: a mirror across x turns it round, but for its part along x.
+    # Torque is an axial vector: mirroring x keeps its x component and negates the other two.
     np.testing.assert_allclose(there.torque_n_mm, 2 * here.torque_n_mm * [1, -1, -1], rtol=1e-12)
 
 
