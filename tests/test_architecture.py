@@ -32,8 +32,8 @@ ALLOWED = {
     "cli": {"assets", "sim", "render", "domains", "view", "adapt", "benchmarks"},
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")
-# One person is to hold the house in the head: what counts first is its doors. Their ceilings fall from release to release;
-# lines and files rose for 0.4 by what bodies by their surface, methods of the field and sensors from a folder may take.
+# One person is to hold the house in the head: what counts first is its doors. Their ceilings fall from release to
+# release; lines and files rose for what bodies by their surface and methods of the field may take.
 MOST_PUBLIC_NAMES = 150
 MOST_ARGUMENTS = 124
 MOST_NAMES_OF_ARGUMENTS = 76
