@@ -9,6 +9,7 @@ import base64
 import math
 import zlib
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
@@ -40,6 +41,10 @@ _STEEP_SHARE = 0.5
 _TURNS_DEG = (37.0, 90.0)
 # Curvature is sampled in about _CURVED_PLACES places, and summarised in _CURVED_STEPS intervals along an axis.
 _CURVED_PLACES, _CURVED_STEPS = 8000, 200
+# Over fewer places than this the normal turns as the places do, not as the surface does.
+_FINEST_STEP = 2.0
+# A rim that is steeper than this rises further by so many times its last rise: half of it where the wall is on average.
+_STEEP_RIM, _RIM_GROWTH = 0.7, 2.5
 
 
 class Surface(Shape):
@@ -388,16 +393,28 @@ def _is_same(own: Floats, image: Floats, share: Floats) -> bool:
 def _band(heights: str, columns: int, spacing_mm: float, step_mm: float, deepest_mm: float) -> _Band:
     from gelgap.sim.height_grid import signed_distance
 
-    grid = _decoded_mm(heights, columns, step_mm)
     top_mm = deepest_mm + _KEPT_ABOVE_MM
     margin = math.ceil(_OUTSIDE_MM / spacing_mm) + 2
+    grid = np.pad(_decoded_mm(heights, columns, step_mm), margin, constant_values=np.inf)
     # What is higher than the grid is nothing; a wall leads up there.
-    solid = np.pad(np.minimum(grid, 10 * top_mm), margin, constant_values=10 * top_mm) / spacing_mm
+    solid = np.minimum(_with_steep_rims(grid, spacing_mm), 10 * top_mm) / spacing_mm
     first = -margin
     levels = math.ceil(top_mm / spacing_mm) - first + 3
     distance = signed_distance(solid, first, levels, _OUTSIDE_MM / spacing_mm, _INSIDE_MM / spacing_mm)
     half_mm = (np.array(solid.shape) - 1) / 2 * spacing_mm
     return _Band(distance, np.array([*-half_mm, first * spacing_mm]))
+
+
+def _with_steep_rims(heights_mm: Floats, spacing_mm: float) -> Floats:
+    """Continue a rounding that ends between two places, so that its wall is not a sharp edge at the first of them."""
+    found = heights_mm.copy()
+    for axis, side in product((0, 1), (1, -1)):
+        last, before = (np.roll(heights_mm, n * side, axis) for n in (1, 2))
+        with np.errstate(invalid="ignore"):
+            rise = last - before
+            is_rim = np.isinf(heights_mm) & np.isfinite(rise) & (rise > _STEEP_RIM * spacing_mm)
+            found[is_rim] = np.minimum(found, last + _RIM_GROWTH * rise)[is_rim]
+    return found
 
 
 @lru_cache(maxsize=256)
@@ -436,6 +453,7 @@ def _curvature(body: Surface, depth_mm: float, axis: int, step_mm: float) -> tup
     points = points[:: 1 + len(points) // _CURVED_PLACES]
     found = body.project(points)
     points, normal = found.points_mm, found.outward_normal
+    step_mm = max(step_mm, _FINEST_STEP * body.spacing_mm)
     ahead = np.eye(3)[axis] - normal[:, axis : axis + 1] * normal
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     ahead /= np.maximum(length, 1e-3)

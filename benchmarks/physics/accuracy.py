@@ -26,6 +26,7 @@ from gelgap.benchmarks.physics.references import (
     press_cases,
     shape_cases,
     solid_cases,
+    surface_cases,
     tabled_sphere,
 )
 
@@ -60,6 +61,7 @@ TABLES = (  # study, title, columns, note
     ("shapes", "Indenters against independent finite elements", SHAPE, SHAPE_NOTE),
     ("across", "A long box in its middle, pressed and dragged across: per mm of length", ACROSS, SHAPE_NOTE),
     ("solids", "A short box, pressed, and a cylinder, pressed and dragged", ACROSS, SHAPE_NOTE),
+    ("surfaces", "A torus and a ring-shaped punch by their surface", SHAPE, SHAPE_NOTE),
 )
 FZ_TARGET = 2.0  # %, rms
 
@@ -84,10 +86,11 @@ def run_shapes(quick: bool, out_dir: Path) -> None:
     """Print errors and run time of other indenters, and write `shapes.json` to `out_dir`.
 
     The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
-    lying cylinder, a long box that is pressed and dragged across, and a short box and a dragged cylinder in space.
+    lying cylinder, a long box that is pressed and dragged across, a short box and a dragged cylinder in space, and two
+    rings by their surface.
     """
     solver = Solver(None, out_dir / "shape-solves")
-    cases = at_both([*shape_cases(), *across_cases(), *solid_cases()])
+    cases = at_both([*shape_cases(), *across_cases(), *solid_cases(), *surface_cases()])
     if quick:
         *round_bodies, _ = shape_cases()
         shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]

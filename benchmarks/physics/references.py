@@ -14,7 +14,7 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.common import Results
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.sim import Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere
+from gelgap.sim import Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere, Surface
 from gelgap.sim.shapes import AnyIndenter
 
 FORCE_UNCERTAINTY_PERCENT = 0.3
@@ -24,6 +24,9 @@ TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
 WIDE_PAD_MM = (60.0, 60.0)
 # Long enough that the middle is in plane strain: its ends are further away than two thicknesses.
 LONG_MM = 16.0
+# Of heights, as finely as they are kept; all of a ring's half height can be pressed in.
+FINEST_MM = 0.04
+RING_HEIGHT_MM = 0.6
 Descent = tuple[Press, tuple[float, ...]]
 """A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
 
@@ -198,6 +201,45 @@ def solid_cases() -> tuple[Case, ...]:
         poses = tuple(Pose(depth_mm=p.depth_mm, shear_x_mm=p.travel_mm) for p in fine.itertuples())
         cases.append(Case("solids", name, gel, poses, indenter=body, truth=truth))
     return tuple(cases)
+
+
+def surface_cases() -> tuple[Case, ...]:
+    """Return a torus and a ring-shaped flat punch, pressed by their surface, beside felupe's axisymmetric solutions.
+
+    Each was solved on two meshes; the second is the truth, and uncertain by what it differs from the first.
+    """
+    forces, profiles = (
+        pd.read_csv(asset_path("reference", "shapes", f"surface_{kind}.csv"))
+        for kind in ("forces", "profiles")
+    )
+    bodies = {"torus": rounded_ring(1.4, 2.6, 0.6), "ring": rounded_ring(1.0, 2.0, 0.2)}
+    cases = []
+    for (name, contact), own in forces.groupby(["case", "contact"], sort=False):
+        coarse, fine = (mesh for _, mesh in own.groupby("element_mm", sort=False))
+        surface = profiles[(profiles["case"] == name) & (profiles["contact"] == contact)].groupby("depth_mm")
+        truth = Truth(
+            normal(fine["fz_n"]),
+            uncertainty_percent=100 * float(np.abs(coarse["fz_n"].values / fine["fz_n"].values - 1).max()),
+            radius_mm=fine["outer_radius_mm"].to_numpy(),
+            profiles=tuple(rows[["r_mm", "u_r_mm", "u_z_mm"]].to_numpy().T for _, rows in surface),
+        )
+        gel = Elastomer(
+            young_modulus_mpa=0.3, poisson_ratio=0.48, friction=friction_of(contact), pad_size_mm=WIDE_PAD_MM
+        )
+        poses = tuple(map(Pose, fine["depth_mm"]))
+        cases.append(Case("surfaces", f"{name}, {contact}", gel, poses, indenter=bodies[name], truth=truth))
+    return tuple(cases)
+
+
+def rounded_ring(inner_mm: float, outer_mm: float, edge_mm: float) -> Surface:
+    """Return a ring between two radii whose edges are rounded: a torus, if they are half as wide as the ring."""
+    place = np.arange(-math.ceil(outer_mm / FINEST_MM), math.ceil(outer_mm / FINEST_MM) + 1) * FINEST_MM
+    off_middle_mm = np.abs(np.hypot(*np.meshgrid(place, place)) - (inner_mm + outer_mm) / 2)
+    over_mm = np.maximum(off_middle_mm - (outer_mm - inner_mm) / 2 + edge_mm, 0.0)
+    heights_mm = edge_mm - np.sqrt(np.maximum(edge_mm**2 - over_mm**2, 0.0))
+    return Surface.of(
+        np.where(over_mm <= edge_mm, heights_mm, np.inf), FINEST_MM, height_mm=2 * RING_HEIGHT_MM
+    )
 
 
 def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:

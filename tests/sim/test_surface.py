@@ -165,3 +165,19 @@ def test_a_press_takes_the_closed_forms_force() -> None:
     near = np.hypot(*np.meshgrid(own.x_mm, own.y_mm)) < 3
     off_mm = surface.displacement_mm - own.displacement_mm
     assert np.sqrt((off_mm[near] ** 2).mean()) < 4e-3
+
+
+def test_a_rounding_that_ends_at_a_wall_between_two_places_keeps_its_radius() -> None:
+    punch = Cylinder(diameter_mm=3.0, edge_radius_mm=0.3)
+    along = np.hypot(*over_a_square(1.52, 0.04)) - 1.2
+    heights = 0.3 - np.sqrt(np.maximum(0.09 - np.maximum(along, 0.0) ** 2, 0.0))
+    surface = Surface.of(np.where(along <= 0.3, heights, np.inf), 0.04, height_mm=6.0)
+    turn, slope = np.meshgrid(np.linspace(0, 2 * np.pi, 200), np.radians(np.linspace(0, 90, 40)))
+    radius = 1.2 + 0.3 * np.sin(slope)
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), 0.3 - 0.3 * np.cos(slope)], axis=-1)
+    np.testing.assert_allclose(punch.project(points).distance_mm, 0.0, atol=1e-9)
+    off_mm = surface.project(points).distance_mm
+    assert np.abs(off_mm.mean()) < 3e-3
+    assert np.abs(off_mm[20:].mean()) < 5e-3
+    # A step shorter than the heights' spacing finds their facets, or an outline's steps, and takes them for edges.
+    assert surface.curvature(0.29, 0, 0.01)[1].min() > 0.1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.physics.errors import errors, middle_errors, middle_force_n
-from gelgap.benchmarks.physics.references import across_cases, shape_cases, solid_cases
+from gelgap.benchmarks.physics.references import across_cases, shape_cases, solid_cases, surface_cases
 from gelgap.sim import Cone, Cylinder, Edge, MembraneState, Traction
 
 
@@ -66,3 +66,15 @@ def test_the_middle_of_a_long_body_is_measured_per_length() -> None:
     assert middle_force_n(found)[2] == pytest.approx(-0.2 * 5 * 0.1)
     profile = np.array([[0.0, 5.0], [0.0, 0.0], [-0.01, -0.01]])
     assert middle_errors(state, profile)["u_z rms µm"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_ring_shaped_punch_is_near_its_table(coarse: None) -> None:
+    ring = next(case for case in surface_cases() if case.name == "ring, frictionless")
+    assert 0 < ring.truth.uncertainty_percent < 0.5
+    case = replace(ring.down_to(0.3), quality="draft")
+    solution = case.solve.run()
+    solved = SimpleNamespace(states=case.states(solution), solution=solution, core_s=1.0, peak_mib=1.0)
+    found = errors(case, solved)
+    assert found["unconverged"] == 0
+    assert found["Fz worst %"] < 5
+    assert max(found["u_z rms µm"], found["in-plane rms µm"]) < 8
