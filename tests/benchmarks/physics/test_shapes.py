@@ -77,4 +77,7 @@ def test_a_ring_shaped_punch_is_near_its_table(coarse: None) -> None:
     found = errors(case, solved)
     assert found["unconverged"] == 0
     assert found["Fz worst %"] < 5
+    [state] = solved.states
+    share = state.diagnostics.fz_error_n / -state.force_n[2]
+    assert found["Fz worst %"] / 200 < share < 0.04
     assert max(found["u_z rms µm"], found["in-plane rms µm"]) < 8
