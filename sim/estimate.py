@@ -41,9 +41,9 @@ _VARIANCE_PER_CAUSE = (
     (0.0, 0.0, 0.206, 0.0, 0.0304),
 )
 # A mesh between lines has its cells anywhere, not in the middle of each patch, as rings of cells have under a ring: a
-# torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once). A ball by its surface on such a mesh is
-# off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much beside felupe. A share of
-# the force, times a cell over the patch's radius.
+# torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once). A ball by its surface on a mesh
+# between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much beside
+# felupe. A share of the force, times a cell over the patch's radius.
 _BETWEEN_LINES = 0.05
 # A round contact whose patch is narrower than this share of it is a ring.
 _RING_SHARE = 0.9
