@@ -10,13 +10,14 @@ from gelgap.sim.estimate import diagnose
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
+    MembraneCubic,
     MembraneState,
     PolarTable,
     contact_radius_mm,
     covered_extent_mm,
     grid_axes,
     is_folded,
-    polar_table,
+    membrane_between,
     press_onto,
     pressure_table,
     traction_table,
@@ -125,8 +126,8 @@ class ContactSolve:
                 x_mm, y_mm, flat.displacement_mm, flat.contact, flat.force_n, contact_solve=self
             )
         record, ratio = self.record, self.modulus_ratio
-        table, radius_mm = _table_and_radius(self.solution, placement.record)
-        rest_mm, displacement_mm = table.around(self.pose, placement.frame, extent_mm)
+        between, radius_mm = _membrane_and_radius(self.solution, placement.record)
+        rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
         displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
@@ -178,7 +179,7 @@ class ContactSolve:
 
 
 @lru_cache(maxsize=64)
-def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable, float]:
+def _membrane_and_radius(solution: Solution, record_index: int) -> tuple[MembraneCubic | PolarTable, float]:
     """Return the membrane of a record and its contact radius, which many poses share."""
     record = solution.records[record_index]
-    return polar_table(solution, record), contact_radius_mm(solution, record)
+    return membrane_between(solution, record), contact_radius_mm(solution, record)

@@ -6,10 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim.indenter import Sphere
-from gelgap.sim.membrane import MembraneState, contact_radius_mm, grid_axes
+from gelgap.sim.indenter import Indenter, Sphere
+from gelgap.sim.membrane import (
+    MembraneCubic,
+    MembraneState,
+    PolarTable,
+    contact_radius_mm,
+    grid_axes,
+    membrane_between,
+)
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.scene import Elastomer, Scene, Sharing
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing
+from gelgap.sim.shapes import Box
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 
 
@@ -55,12 +63,14 @@ SPACING_MM = 0.02
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.45, friction=0.5)
 
 
-def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
-    problem = ContactProblem.of(Scene(GEL, Sphere(), "draft", Sharing()), None, ((0, 0, -0.1),), (-1,))
+def _solution(
+    rest_mm: np.ndarray, normal_force_n: np.ndarray, displacement_mm: np.ndarray, indenter: Indenter
+) -> Solution:
+    problem = ContactProblem.of(Scene(GEL, indenter, "draft", Sharing()), None, ((0, 0, -0.1),), (-1,))
     # A whole gel, so that nothing is mirrored.
     problem = replace(problem, pad_mm=(-12.0, 12.0, -10.0, 9.0))
     record = Record(
-        displacement_mm=np.zeros((len(rest_mm), 3), dtype=np.float32),
+        displacement_mm=displacement_mm.astype(np.float32),
         normal_force_n=normal_force_n.astype(np.float32),
         contact_force_n=np.zeros((len(rest_mm), 3), dtype=np.float32),
         indenter_mm=np.array([0.0, 0.0, -0.1]),
@@ -69,7 +79,34 @@ def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
         converged=True,
         diagnostics=SolveDiagnostics(),
     )
-    return contact_radius_mm(Solution(problem, rest_mm, (record,)), record)
+    return Solution(problem, rest_mm, (record,))
+
+
+def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
+    solution = _solution(rest_mm, normal_force_n, np.zeros((len(rest_mm), 3)), Sphere())
+    return contact_radius_mm(solution, solution.records[0])
+
+
+def test_the_edge_of_a_box_is_as_sharp_as_its_vertices_make_it() -> None:
+    # Lines of vertices with a wall at x = 2.5 and y = 3.5 mm; at its corner the rows of a table are far apart.
+    x_mm = np.array([-11.0, -6.0, -4.0, -3.0, -2.6, -2.5, -2.0, 0.0, 2.0, 2.5, 2.6, 3.0, 4.0, 6.0, 11.0])
+    rest_mm = np.stack(np.meshgrid(x_mm, np.where(abs(x_mm) < 6, 1.4, 0.8) * x_mm), -1).reshape(-1, 2)
+    beyond = np.maximum(abs(rest_mm[:, 0]) / 2.5, abs(rest_mm[:, 1]) / 3.5) - 1
+    moved_mm = np.stack([0 * beyond, 0 * beyond, -0.5 * np.exp(-10 * np.maximum(beyond, 0))], 1)
+    box, ball = (_solution(rest_mm, 0 * beyond, moved_mm, body) for body in (Box(), Sphere()))
+    between = membrane_between(box, box.records[0])
+    assert isinstance(between, MembraneCubic)
+    assert isinstance(membrane_between(ball, ball.records[0]), PolarTable)
+    np.testing.assert_allclose(between.at(rest_mm)[:, 2], moved_mm[:, 2], atol=1e-2)
+    corner = np.flatnonzero((rest_mm == [2.5, 3.5]).all(axis=1))
+    np.testing.assert_allclose(between.at(rest_mm[corner]), moved_mm[corner], atol=1e-6)
+    # Further than the vertices the membrane moves as at their rim.
+    np.testing.assert_allclose(
+        between.at(np.array([[40.0, 0.0]])), between.at(np.array([[10.99, 0.0]])), atol=1e-6
+    )
+    rest, field = between.around(Pose(0.5, point_x_mm=1.0), CanonicalFrame(None, np.eye(2)), (7.0, 5.5))
+    assert field.shape == (111, 141, 3)
+    np.testing.assert_allclose(field[60, 80], between.at(rest[60, 80][None])[0])
 
 
 def test_a_hertzian_pressure_gives_its_contact_radius() -> None:

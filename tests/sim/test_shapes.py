@@ -23,6 +23,7 @@ from gelgap.sim import (
     solve_pose,
     solve_poses,
 )
+from gelgap.sim.grading import edge_radius_mm, sizes_along
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.rounded import Shape
@@ -161,6 +162,16 @@ def test_what_is_not_served_is_refused(name: str, fields: dict, message: str) ->
 def test_a_pose_that_a_body_does_not_allow_is_refused(body: Shape, depth_mm: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         plan_visit(GEL, body, (Pose(depth_mm=depth_mm),), "draft")
+
+
+def test_rings_follow_a_sharper_edge_than_lines_and_finer_for_it() -> None:
+    problems = [
+        plan_visit(GEL, Cylinder(edge_radius_mm=radius), (Pose(depth_mm=0.3),), "draft").solves[0].problem
+        for radius in (0.2, 0.1)
+    ]
+    blunt, sharp = (sizes_along(problem, 0, 2.5, (0.0, 0.0)).size_mm.min() for problem in problems)
+    assert sharp < 0.7 * blunt
+    assert edge_radius_mm(problems[1], 0.1) == pytest.approx(0.1, rel=0.05)
 
 
 def test_a_mesh_that_is_its_own_mirror_image_shares_as_a_box_does() -> None:
