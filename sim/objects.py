@@ -12,7 +12,7 @@ from gelgap.sim.surface import Surface, grid_under
 Place = tuple[float, float, float]
 _SPACING_MM = 0.04
 _HALF_MM = 3.6
-_RELIEF_MM = 0.8
+_RELIEF_MM, _DEEPEST_MM = 0.8, 1.0
 # From so far away, the points of a body nearest to points all around it are spread over all of it.
 _FAR_MM = 1e3
 # Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
@@ -30,12 +30,12 @@ _LETTERS = {
 
 
 def object_surface(name: str, edge_radius_mm: float = 0.2, **fields: Any) -> Surface:
-    """Return an object of that name as a body; its relief, or at least 0.8 mm of it, can be pressed in."""
+    """Return an object of that name as a body; its relief, or at least 1 mm of it, can be pressed in."""
     count = round(_HALF_MM / _SPACING_MM)
     place = np.arange(-count, count + 1) * _SPACING_MM
     heights_mm = OBJECTS[name](*np.meshgrid(place, place))
     relief_mm = float(np.ptp(heights_mm[np.isfinite(heights_mm)]))
-    fields |= {"height_mm": 2 * max(relief_mm, _RELIEF_MM), "edge_radius_mm": edge_radius_mm}
+    fields |= {"height_mm": 2 * max(relief_mm, _DEEPEST_MM), "edge_radius_mm": edge_radius_mm}
     return Surface.of(heights_mm, _SPACING_MM, **fields)
 
 

@@ -384,17 +384,20 @@ def _of_file(path: Path, fields: dict[str, Any]) -> Any:
         _check_fields(Surface, fields, without=("flip",))
         return Surface.load(path, **fields)
     _check_fields(ConvexMesh, fields)
-    if "edge_radius_mm" not in fields and has_sharp_edges(
+    is_rounded = "edge_radius_mm" not in fields and has_sharp_edges(
         path, fields.get("unit"), fields.get("flip", False)
-    ):
+    )
+    if is_rounded:
+        fields = fields | {"edge_radius_mm": _CAD_EDGE_MM}
+    try:
+        body = ConvexMesh.load(path, **fields)
+    except NotConvexError:
+        body = Surface.load(path, **fields)
+    if is_rounded:
         LOG.warning(
             "%s: its sharp edges are rounded by %g mm, unless edge_radius_mm is given", path, _CAD_EDGE_MM
         )
-        fields = fields | {"edge_radius_mm": _CAD_EDGE_MM}
-    try:
-        return ConvexMesh.load(path, **fields)
-    except NotConvexError:
-        return Surface.load(path, **fields)
+    return body
 
 
 def _made(shape: type[Any], fields: dict[str, Any]) -> Any:

@@ -109,10 +109,16 @@ class Surface(Shape):
             height_mm = 2 * relief_mm
         heights, spacing_mm = _resampled(heights, spacing_mm)
         radius_mm = fields.get("edge_radius_mm", 0.0)
+        lowest_mm = heights.min()
         heights = rolled_mm(heights, radius_mm, spacing_mm)
         if not np.isfinite(heights).any():
             raise ValueError(
                 f"edge_radius_mm = {radius_mm:g}: is more than half as wide as anything of the body; give a smaller one"
+            )
+        if heights.min() - lowest_mm > radius_mm:
+            raise ValueError(
+                f"edge_radius_mm = {radius_mm:g}: takes {heights.min() - lowest_mm:.2g} mm off what touches first, "
+                "which is thinner than twice that; give a smaller one"
             )
         heights -= heights.min()
         kept_mm = min(height_mm / 2, _DEEPEST_MM) + _KEPT_ABOVE_MM
