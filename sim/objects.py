@@ -116,8 +116,8 @@ def _key(x: Floats, y: Floats) -> Floats:
         [-3, -2.4, -1.8, -1.2, -0.6, 0, 0.6, 1.2, 1.8, 2.4],
         [0.9, 0.2, 0.2, 1.0, 1.0, 0.4, 0.4, 1.2, 1.2, 0.3],
     )
-    inside = (np.abs(x) < 3.0) & (y > -1.2) & (y < depth)
-    return np.where(inside, np.where(np.abs(y + 0.5) < 0.25, 0.4, 0.0), np.inf)
+    inside = (np.abs(x) < 3.0) & (y > -2.2) & (y < depth)
+    return np.where(inside, np.where(np.abs(y + 0.7) < 0.3, 0.4, 0.0), np.inf)
 
 
 def _coin(x: Floats, y: Floats) -> Floats:
@@ -145,9 +145,9 @@ def _lattice(x: Floats, y: Floats) -> Floats:
 def _letters(x: Floats, y: Floats) -> Floats:
     inside = np.zeros(x.shape, dtype=bool)
     for place, letter in enumerate("GEL"):
-        u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.25) / 2.5
+        u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.8) / 3.6
         for ends in _LETTERS[letter]:
-            inside |= _stroke(u, v, ends) < 0.17
+            inside |= _stroke(u, v, ends) < 0.13
     return _solid(inside)
 
 
