@@ -15,6 +15,8 @@ from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
 MESH_PICTURE_PX = (640, 480)
+# Fields of a body that come from its file, and are thousands of numbers.
+BULKY = {"hull_mm", "above_mm", "heights"}
 DIAGNOSTICS = (
     "slip",
     "sticking_fraction",
@@ -125,7 +127,7 @@ class Press(opt.Command):
         if self.json:
             settings = {
                 "elastomer": elastomer.model_dump(mode="json"),
-                "indenter": indenter.model_dump(mode="json"),
+                "indenter": {"name": self.indenter, **indenter.model_dump(mode="json", exclude=BULKY)},
                 "pose": asdict(pose),
                 "quality": self.quality,
             }

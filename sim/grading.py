@@ -34,6 +34,9 @@ _SHARPEST_RING_CELLS, _SHARPEST_CELLS = 0.18, 0.35
 # of 5 × 7 mm with lines as fine took 1.7 times as long, and its force was 1.5 % too large.
 EDGE_STEP_CELLS = 0.35
 _FINEST_TRIED = 8
+# A contact that is nowhere wider than this share of a cell falls through the mesh; one of fewer places of a height
+# map, between them.
+_THINNEST_CELLS, _THINNEST_PLACES = 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -128,16 +131,27 @@ def _sizes_under(
 
 
 def check_sharpness(problem: ContactProblem) -> None:
-    """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
+    """Raise ValueError if the indenter, where it is pressed, is thinner or sharper than the mesh serves."""
+    width_mm = 2 * problem.meshed_radius_mm
+    thinnest_mm = max(
+        _THINNEST_CELLS * problem.cell_mm, _THINNEST_PLACES * getattr(problem.indenter, "spacing_mm", 0)
+    )
+    if width_mm < thinnest_mm:
+        raise ValueError(
+            f"indenter ({problem.indenter.label}): is {width_mm:.2g} mm wide at most where it cuts the gel at a depth "
+            f"of {problem.depth_mm:g} mm; quality {problem.quality.name} serves {thinnest_mm:.2g} mm and more here"
+        )
     if _is_served(problem):
         return
     names = list(QUALITIES)
     finer = names[names.index(problem.quality.name) + 1 :]
     serving = [name for name in finer if _is_served(replace(problem, quality=QUALITIES[name]))]
+    # Rounded up, so that it is served.
+    served_mm = math.ceil(1e3 * _sharpest_mm(problem)) / 1e3
     remedy = f"quality {serving[0]} serves it" if serving else "give a larger edge_radius_mm"
     raise ValueError(
         f"indenter ({problem.indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
-        f"serves; the smallest radius that it serves here is {_sharpest_mm(problem):.2g} mm: {remedy}"
+        f"serves; the smallest radius that it serves here is {served_mm:g} mm: {remedy}"
     )
 
 

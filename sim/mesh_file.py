@@ -20,6 +20,8 @@ _UNITS = {"mm": "mm", "cm": "cm", "m": "m", "inch": "inch", "um": "microns"}
 _CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend")
 _SMALLEST_MM, _LARGEST_MM = 0.5, 500.0
 _MOST_CORNERS = 4000
+# An edge is sharp if its two faces differ by more than those of a round body in 12 parts.
+_SHARP_DEG = 31.0
 # A body is convex if its hull's surface is nowhere further from its own, at this many places.
 _CONVEX_WITHIN_MM = 0.05
 # Surfaces that are nowhere further apart are taken as the same.
@@ -78,6 +80,17 @@ def lower_end(path: Path, unit: MeshUnit | None, flip: bool, most_mm: float) -> 
     lowest = mesh.vertices[mesh.vertices[:, 2] < SAME_MM]
     mesh.vertices[:, :2] -= (lowest[:, :2].min(axis=0) + lowest[:, :2].max(axis=0)) / 2
     return np.array(_below(mesh, min(height_mm, most_mm)).triangles), height_mm
+
+
+def has_sharp_edges(path: Path, unit: MeshUnit | None = None, flip: bool = False) -> bool:
+    """Return whether a mesh file has sharp edges in its lower half. Errors are those of `convex_part`."""
+    try:
+        mesh = _standing(path, unit, flip)
+    except ValueError as error:
+        raise ValueError(f"indenter = {str(path)!r}: {error}") from None
+    lowest_mm = mesh.vertices[mesh.face_adjacency_edges, 2].min(axis=1)
+    is_sharp = mesh.face_adjacency_angles > np.radians(_SHARP_DEG)
+    return bool((is_sharp & (lowest_mm < mesh.extents[2] / 2)).any())
 
 
 def _standing(path: Path, unit: MeshUnit | None, flip: bool) -> "Trimesh":

@@ -1,16 +1,20 @@
-"""Everyday objects made by code: the heights of what each shows to the gel, larger further away from it."""
+"""Everyday objects made by code, by the heights of what each shows to the gel, and several bodies as one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Floats
-from gelgap.sim.surface import Surface
+from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.surface import Surface, grid_under
 
+Place = tuple[float, float, float]
 _SPACING_MM = 0.04
 _HALF_MM = 3.6
-_RELIEF_MM = 0.8
+_RELIEF_MM, _DEEPEST_MM = 0.8, 1.0
+# From so far away, the points of a body nearest to points all around it are spread over all of it.
+_FAR_MM = 1e3
 # Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
 _LETTERS = {
     "G": (
@@ -26,13 +30,49 @@ _LETTERS = {
 
 
 def object_surface(name: str, edge_radius_mm: float = 0.2, **fields: Any) -> Surface:
-    """Return an object of that name as a body; its relief, or at least 0.8 mm of it, can be pressed in."""
+    """Return an object of that name as a body; its relief, or at least 1 mm of it, can be pressed in."""
     count = round(_HALF_MM / _SPACING_MM)
     place = np.arange(-count, count + 1) * _SPACING_MM
     heights_mm = OBJECTS[name](*np.meshgrid(place, place))
     relief_mm = float(np.ptp(heights_mm[np.isfinite(heights_mm)]))
-    fields |= {"height_mm": 2 * max(relief_mm, _RELIEF_MM), "edge_radius_mm": edge_radius_mm}
+    fields |= {"height_mm": 2 * max(relief_mm, _DEEPEST_MM), "edge_radius_mm": edge_radius_mm}
     return Surface.of(heights_mm, _SPACING_MM, **fields)
+
+
+def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surface:
+    """Return bodies as one, each with its place (x, y, z): of its axis, and how high its lowest point is.
+
+    It is pressed no deeper than the part that is first at its own limit. Fields are those of `Surface`.
+
+    Raises
+    ------
+    ValueError
+        If the bodies are further apart than the largest surface is wide, or thinner than its rounding.
+    """
+    lowest_mm = min(z for _, (_, _, z) in parts)
+    triangles_mm, deepest_mm = [], np.inf
+    for body, (x, y, z) in parts:
+        vertices, triangles = surface_mesh_mm(body)
+        place = [x, y, z - lowest_mm + body.origin_height_mm]
+        triangles_mm.append((vertices + place)[triangles])
+        deepest_mm = min(deepest_mm, z - lowest_mm + body.deepest_mm)
+    heights_mm, spacing_mm = grid_under(np.concatenate(triangles_mm))
+    return Surface.of(heights_mm, spacing_mm, height_mm=round(2 * deepest_mm, 9), **fields)
+
+
+def surface_mesh_mm(body: Indenter, subdivisions: int = 5) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices (n, 3) and triangles (m, 3) of a body around its origin: all of it if it is convex.
+
+    Then it is the hull of what is nearest to points far around it, of which there are 10 · 4^subdivisions + 2.
+    """
+    from trimesh.convex import convex_hull
+    from trimesh.creation import icosphere
+
+    if isinstance(body, Surface):
+        return body.mesh_mm
+    around = np.array(icosphere(subdivisions, _FAR_MM).vertices)
+    hull = convex_hull(body.project(around).points_mm)
+    return np.array(hull.vertices), np.array(hull.faces)
 
 
 def _solid(inside: Floats, base_mm: float = _RELIEF_MM) -> Floats:
@@ -76,8 +116,8 @@ def _key(x: Floats, y: Floats) -> Floats:
         [-3, -2.4, -1.8, -1.2, -0.6, 0, 0.6, 1.2, 1.8, 2.4],
         [0.9, 0.2, 0.2, 1.0, 1.0, 0.4, 0.4, 1.2, 1.2, 0.3],
     )
-    inside = (np.abs(x) < 3.0) & (y > -1.2) & (y < depth)
-    return np.where(inside, np.where(np.abs(y + 0.5) < 0.25, 0.4, 0.0), np.inf)
+    inside = (np.abs(x) < 3.0) & (y > -2.2) & (y < depth)
+    return np.where(inside, np.where(np.abs(y + 0.7) < 0.3, 0.4, 0.0), np.inf)
 
 
 def _coin(x: Floats, y: Floats) -> Floats:
@@ -105,9 +145,9 @@ def _lattice(x: Floats, y: Floats) -> Floats:
 def _letters(x: Floats, y: Floats) -> Floats:
     inside = np.zeros(x.shape, dtype=bool)
     for place, letter in enumerate("GEL"):
-        u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.25) / 2.5
+        u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.8) / 3.6
         for ends in _LETTERS[letter]:
-            inside |= _stroke(u, v, ends) < 0.17
+            inside |= _stroke(u, v, ends) < 0.13
     return _solid(inside)
 
 

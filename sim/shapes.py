@@ -1,5 +1,6 @@
 """Indenters beside the sphere: cylinder, cone, edge, box, ellipsoid and convex meshes, by name or from files."""
 
+import logging
 import math
 from functools import lru_cache
 from pathlib import Path
@@ -13,11 +14,15 @@ from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
-from gelgap.sim.mesh_file import SAME_MM, MeshUnit, NotConvexError, convex_part
-from gelgap.sim.objects import OBJECTS, object_surface
+from gelgap.sim.mesh_file import SAME_MM, MeshUnit, NotConvexError, convex_part, has_sharp_edges
+from gelgap.sim.objects import OBJECTS, Place, object_surface, sum_surface
 from gelgap.sim.rounded import RoundedHull, RoundedProfile, Shape
 from gelgap.sim.surface import MAP_SUFFIXES, Surface
 
+LOG = logging.getLogger(__name__)
+
+# Files of sharp bodies seldom say how their edges are rounded; `draft` serves this radius on a gel of 3 mm.
+_CAD_EDGE_MM = 0.25
 # Bodies whose height no field says are as high as they are wide, and at least this high.
 _SMALLEST_HEIGHT_MM = 10.0
 # Beside a body the gel rises by up to a quarter of the depth (8 × 8 mm on 4 mm of gel: by 0.14 of it).
@@ -25,7 +30,11 @@ _STAYS_OFF = 0.8
 
 # What follows from a file, and nobody gives.
 _OF_THE_FILE = ("hull_mm", "above_mm", "heights", "columns", "height_mm")
-_OF_A_MAP = ("spacing_mm", "step_mm")
+# What only a file's surface is given.
+_OF_A_FILE = ("spacing_mm", "step_mm", "flip")
+# What a TOML file says of a body, one of these.
+_KINDS = ("shape", "mesh", "map", "object", "parts")
+_FURTHEST_PART_MM = 50.0
 
 Size = Annotated[float, within(0.5, 50.0, "mm")]
 Rounding = Annotated[float, within(0.01, 25.0, "mm")]
@@ -303,8 +312,9 @@ def fields_of(body: type[Indenter]) -> dict[str, str]:
 def load_indenter(name: str, **fields: Any) -> AnyIndenter:
     """Return the indenter of a shape's name, a preset, a TOML, mesh or map file, with some fields given anew.
 
-    A TOML file has `shape`, or `mesh` or `map` as a path beside it, and the shape's fields. A mesh that is not convex
-    where the gel reaches, and a height map, become a `Surface`.
+    A TOML file has `shape`, or `mesh` or `map` as a path beside it, and the shape's fields; or `[[parts]]`, each such a
+    table with its place `at_mm`, x, y and how high its lowest point is (0). A mesh that is not convex where the gel
+    reaches, a height map, and parts become a `Surface`.
 
     Raises
     ------
@@ -329,29 +339,65 @@ def load_indenter(name: str, **fields: Any) -> AnyIndenter:
 
 def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) -> AnyIndenter:
     values.pop("description", None)
-    file, shape = values.pop("mesh", values.pop("map", None)), values.pop("shape", None)
-    if file is not None and shape is None:
-        return _of_file(folder / str(file), values | fields)
-    if (name := values.pop("object", None)) is not None and shape is None:
-        if name not in OBJECTS:
-            raise ValueError(unknown_name("object", str(name), tuple(OBJECTS), "known objects"))
-        _check_fields(Surface, values | fields, without=_OF_A_MAP)
-        return object_surface(name, **values | fields)
-    if shape not in SHAPES:
-        raise ValueError(unknown_name("shape", str(shape), tuple(SHAPES), "known shapes"))
-    return _made(SHAPES[shape], values | fields)
+    kinds = [kind for kind in _KINDS if kind in values]
+    if len(kinds) != 1:
+        raise ValueError(f"{', '.join(kinds) or 'nothing'}: an indenter has one of {', '.join(_KINDS)}")
+    kind, what = kinds[0], values.pop(kinds[0])
+    fields = values | fields
+    if kind in ("mesh", "map"):
+        return _of_file(folder / str(what), fields)
+    if kind == "shape":
+        if what not in SHAPES:
+            raise ValueError(unknown_name("shape", str(what), tuple(SHAPES), "known shapes"))
+        return _made(SHAPES[what], fields)
+    _check_fields(Surface, fields, without=_OF_A_FILE)
+    if kind == "parts":
+        return sum_surface(_parts(what, folder), **fields)
+    if what not in OBJECTS:
+        raise ValueError(unknown_name("object", str(what), tuple(OBJECTS), "known objects"))
+    return object_surface(what, **fields)
+
+
+def _parts(tables: Any, folder: Path) -> list[tuple[Indenter, Place]]:
+    """Return the bodies of tables [[parts]], and where each is."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ValueError("parts: must be tables [[parts]], each of a body and its at_mm")
+    placed = []
+    for number, table in enumerate(tables, 1):
+        own = dict(table)
+        place = own.pop("at_mm", [0.0, 0.0])
+        try:
+            x, y, *z = (float(place_mm) for place_mm in place)
+            (z,) = z or (0.0,)
+        except (TypeError, ValueError):
+            raise ValueError(f"at_mm = {place!r} of part {number}: must be two or three numbers") from None
+        if not max(abs(x), abs(y), abs(z)) <= _FURTHEST_PART_MM:
+            raise ValueError(f"at_mm = {place!r} of part {number}: must be within ±{_FURTHEST_PART_MM:g} mm")
+        with named_in_errors(f"part {number}"):
+            placed.append((_from_table(own, folder, {}), (x, y, z)))
+    return placed
 
 
 def _of_file(path: Path, fields: dict[str, Any]) -> Any:
     """Return the body of a mesh file, convex if it is where the gel reaches, or of a height map."""
     if path.suffix.lower() in MAP_SUFFIXES:
-        _check_fields(Surface, fields)
+        _check_fields(Surface, fields, without=("flip",))
         return Surface.load(path, **fields)
     _check_fields(ConvexMesh, fields)
+    is_rounded = "edge_radius_mm" not in fields and has_sharp_edges(
+        path, fields.get("unit"), fields.get("flip", False)
+    )
+    if is_rounded:
+        fields = fields | {"edge_radius_mm": _CAD_EDGE_MM}
     try:
-        return ConvexMesh.load(path, **fields)
+        body = ConvexMesh.load(path, **fields)
     except NotConvexError:
-        return Surface.load(path, **fields)
+        body = Surface.load(path, **fields)
+    if is_rounded:
+        LOG.warning(
+            "%s: its sharp edges are rounded by %g mm, unless edge_radius_mm is given", path, _CAD_EDGE_MM
+        )
+    return body
 
 
 def _made(shape: type[Any], fields: dict[str, Any]) -> Any:

@@ -30,7 +30,7 @@ _FINEST_MM = 0.04
 _MOST_SIDE = 4096
 _DEEPEST_MM = 6.0
 # Distances are exact so far outside and inside of the surface. What is further above the deepest press is not kept.
-_OUTSIDE_MM, _INSIDE_MM = 0.45, 0.3
+_OUTSIDE_MM, _INSIDE_MM = 0.3, 0.3
 _KEPT_ABOVE_MM = 0.6
 _NOTHING = 65535
 # Heights that differ by less are all the same.
@@ -114,10 +114,16 @@ class Surface(Shape):
             height_mm = 2 * relief_mm
         heights, spacing_mm = _resampled(heights, spacing_mm)
         radius_mm = fields.get("edge_radius_mm", 0.0)
+        lowest_mm = heights.min()
         heights = rolled_mm(heights, radius_mm, spacing_mm)
         if not np.isfinite(heights).any():
             raise ValueError(
                 f"edge_radius_mm = {radius_mm:g}: is more than half as wide as anything of the body; give a smaller one"
+            )
+        if heights.min() - lowest_mm > radius_mm:
+            raise ValueError(
+                f"edge_radius_mm = {radius_mm:g}: takes {heights.min() - lowest_mm:.2g} mm off what touches first, "
+                "which is thinner than twice that; give a smaller one"
             )
         heights -= heights.min()
         kept_mm = min(height_mm / 2, _DEEPEST_MM) + _KEPT_ABOVE_MM
@@ -156,8 +162,6 @@ class Surface(Shape):
         ValueError
             If it cannot be read, a map has no size, holds what is no number, or is empty.
         """
-        from gelgap.sim.height_grid import lower_side_mm
-
         path = Path(path)
         try:
             if path.suffix.lower() in MAP_SUFFIXES:
@@ -170,9 +174,7 @@ class Surface(Shape):
             triangles_mm, height_mm = lower_end(
                 path, unit, fields.get("flip", False), _DEEPEST_MM + _KEPT_ABOVE_MM
             )
-            half_mm = np.abs(triangles_mm[..., :2]).max(axis=(0, 1))
-            spacing_mm = max(round(2 * half_mm.max() / _MOST_PLACES, 6), _FINEST_MM)
-            heights_mm = lower_side_mm(triangles_mm, (half_mm + spacing_mm).tolist(), spacing_mm)
+            heights_mm, spacing_mm = grid_under(triangles_mm)
             return cls.of(heights_mm, spacing_mm, height_mm=height_mm, **fields)
         except ValueError as error:
             if str(path) in str(error):
@@ -245,7 +247,9 @@ class Surface(Shape):
     def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
         from gelgap.sim.height_grid import interpolated
 
-        band = _band(self.heights, self.columns, self.spacing_mm, self.step_mm, self.deepest_mm)
+        # A press reaches a part of a high body only; its distances are worked out by the millimetre.
+        reached_mm = min(float(max(1, math.ceil(points_mm[:, 2].max(initial=0.0)))), self.deepest_mm)
+        band = _band(self.heights, self.columns, self.spacing_mm, self.step_mm, reached_mm)
         places = (points_mm[:, [1, 0, 2]] - band.corner_mm) / self.spacing_mm
         within = np.clip(places, 1.0, np.array(band.distance.shape) - 2.0)
         beyond_mm = (within - places) * self.spacing_mm
@@ -257,6 +261,15 @@ class Surface(Shape):
         # Where the band ends all directions are as good; the gel comes from below.
         normal = np.where(length > 1e-3, normal / np.maximum(length, 1e-3), [0.0, 0.0, -1.0])
         return distance * self.spacing_mm + np.linalg.norm(beyond_mm, axis=1), normal
+
+
+def grid_under(triangles_mm: Floats) -> tuple[Floats, float]:
+    """Return the lowest heights (rows, columns) of triangles (n, 3, 3) around the axis, and their spacing."""
+    from gelgap.sim.height_grid import lower_side_mm
+
+    half_mm = np.abs(triangles_mm[..., :2]).max(axis=(0, 1))
+    spacing_mm = max(round(2 * half_mm.max() / _MOST_PLACES, 6), _FINEST_MM)
+    return lower_side_mm(triangles_mm, (half_mm + spacing_mm).tolist(), spacing_mm), spacing_mm
 
 
 class _Band(NamedTuple):
@@ -390,10 +403,10 @@ def _is_same(own: Floats, image: Floats, share: Floats) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _band(heights: str, columns: int, spacing_mm: float, step_mm: float, deepest_mm: float) -> _Band:
+def _band(heights: str, columns: int, spacing_mm: float, step_mm: float, reached_mm: float) -> _Band:
     from gelgap.sim.height_grid import signed_distance
 
-    top_mm = deepest_mm + _KEPT_ABOVE_MM
+    top_mm = reached_mm + _KEPT_ABOVE_MM
     margin = math.ceil(_OUTSIDE_MM / spacing_mm) + 2
     grid = np.pad(_decoded_mm(heights, columns, step_mm), margin, constant_values=np.inf)
     # What is higher than the grid is nothing; a wall leads up there.
@@ -460,6 +473,8 @@ def _curvature(body: Surface, depth_mm: float, axis: int, step_mm: float) -> tup
     there, back = (body.project(points + side * step_mm / 2 * ahead).outward_normal for side in (1, -1))
     turn = np.arctan2(((there - back) * ahead).sum(axis=1), 1 + (there * back).sum(axis=1))
     radius = step_mm / 2 / np.maximum(np.tan(np.clip(turn, 0.0, 1.5)), 1e-9)
+    # Where it seems sharper than the ball that rolled in it, that is the grid.
+    radius = np.maximum(radius, body.edge_radius_mm)
     edges = np.linspace(points[:, axis].min() - 1e-9, points[:, axis].max(), _CURVED_STEPS + 1)
     least = np.full(_CURVED_STEPS, np.inf)
     np.minimum.at(least, np.clip(np.searchsorted(edges, points[:, axis]) - 1, 0, _CURVED_STEPS - 1), radius)

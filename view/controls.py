@@ -1,10 +1,13 @@
 """The knobs of the page, and the configuration that they stand for."""
 
+import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from math import cos, radians, sin
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import viser
@@ -13,7 +16,8 @@ from pydantic import BaseModel
 from gelgap.assets import list_presets
 from gelgap.assets.settings import Settings
 from gelgap.render import Illumination, Led, Sensor
-from gelgap.sim import Elastomer
+from gelgap.sim import Elastomer, load_indenter
+from gelgap.sim.shapes import AnyIndenter
 from gelgap.view.meshes import COLOURINGS
 from gelgap.view.pictures import recoloured, swatch
 from gelgap.view.state import DEEPEST_MM, FARTHEST_MM, Configuration
@@ -23,6 +27,7 @@ OWN = "own"
 # A value beyond a knob's range makes the range this many times as large as the value.
 _ROOM = 2.0
 _TYPING_S = 1.0
+_BODY_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".off", ".toml")
 
 
 class Controls:
@@ -59,6 +64,7 @@ class Controls:
         self._fill()
 
     def _add_contact(self, gui: viser.GuiApi) -> None:
+        self.indenter = self._body(gui)
         x_mm, y_mm = 5.0, 3.5  # contacts that the paper's camera sees
         self.depth = self._field("pose.depth_mm", gui.add_slider("depth, mm", 0.0, DEEPEST_MM, 0.01, 0.6))
         self.travel = gui.add_slider("travel, mm", 0.0, FARTHEST_MM, 0.01, 0.0)
@@ -140,6 +146,28 @@ class Controls:
             return self.wanted if own is None else self._with(illumination=own)
 
         self._bind(dropdown, shown, changed)
+        return dropdown
+
+    def _body(self, gui: viser.GuiApi) -> Any:
+        """Add a dropdown of the bodies, and a button that takes the file of one."""
+        known = ("sphere", *list_presets("indenters"))
+        dropdown = gui.add_dropdown("indenter", (*known, OWN))
+        upload = gui.add_upload_button(
+            "Body from a file …",
+            mime_type=",".join(_BODY_SUFFIXES),
+            hint="A mesh or TOML file; one of a height map needs its scale, and a mesh its edge radius, from TOML",
+        )
+
+        def shown() -> str:
+            return next((name for name in known if _body_named(name) == self.wanted.indenter), OWN)
+
+        def changed() -> Configuration:
+            if dropdown.value == OWN:
+                return self.wanted
+            return self._with(indenter=_body_named(dropdown.value))
+
+        self._bind(dropdown, shown, changed)
+        upload.on_upload(lambda _: self._apply(lambda: self._with(indenter=_sent_body(upload.value))))
         return dropdown
 
     def _bind(self, knob: Any, value: Callable[[], Any], changed: Callable[[], Configuration]) -> None:
@@ -243,6 +271,22 @@ class Controls:
     def _with_colour(self) -> Configuration:
         picked = recoloured(self._led, self.colour.value, self.wanted.sensor.camera)
         return self._with_led(spectrum=picked.spectrum)
+
+
+@cache
+def _body_named(name: str) -> AnyIndenter:
+    return load_indenter(name)
+
+
+def _sent_body(file: viser.UploadedFile) -> AnyIndenter:
+    """Return the body of a file that the browser sent; another file that it names is not there."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / Path(file.name).name
+        path.write_bytes(file.content)
+        try:
+            return load_indenter(str(path))
+        except (ValueError, FileNotFoundError) as error:
+            raise ValueError(str(error).replace(f"{folder}/", "")) from None
 
 
 def _lies_beyond(knob: Any) -> bool:

@@ -13,8 +13,8 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
 from gelgap.sim import MembraneState, SolvedPose
 from gelgap.sim.library import LibraryPose
+from gelgap.sim.objects import surface_mesh_mm
 from gelgap.sim.shapes import AnyIndenter
-from gelgap.sim.surface import Surface
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
@@ -23,8 +23,6 @@ _INDENTER_RGBA = (176, 184, 196, 255)
 # glTF counts in metres; PLY has no unit and gets millimetres.
 _METRES_PER_MM = 1e-3
 _ROUNDING = 1e-3
-# From so far away, the points of the indenter nearest to points all around it are spread over all of it.
-_FAR_MM = 1e3
 # Of the page's membrane the first share shines by itself, in the very colours of its texture; the second is shaded. The
 # page's lights are bright, so that both together are less than 1.
 _SHINING_SHARE, _SHADED_SHARE = 0.55, 0.25
@@ -67,14 +65,9 @@ def indenter_centre_mm(
 
 
 def indenter_mesh(indenter: AnyIndenter) -> trimesh.Trimesh:
-    """Return the surface of the indenter around its origin: the hull of what is nearest to points far around it.
-
-    Of a body that is not convex it is the underside.
-    """
-    if isinstance(indenter, Surface):
-        return trimesh.Trimesh(*indenter.mesh_mm, process=False)
-    around = trimesh.creation.icosphere(subdivisions=3 if indenter.shape == "sphere" else 5, radius=_FAR_MM)
-    return trimesh.convex.convex_hull(indenter.project(around.vertices.view(np.ndarray)).points_mm)
+    """Return the surface of the indenter around its origin; of a body that is not convex, the underside."""
+    subdivisions = 3 if indenter.shape == "sphere" else 5
+    return trimesh.Trimesh(*surface_mesh_mm(indenter, subdivisions), process=False)
 
 
 def mesh_bytes(

@@ -11,6 +11,7 @@ import viser
 
 from gelgap.assets.names import quoted
 from gelgap.render import difference_picture
+from gelgap.sim import Sphere
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
@@ -195,7 +196,8 @@ class Page:
         if self._compare.source is None:
             return {}
         content = recipe_toml(self._compare.source.configuration, target.configuration)
-        self._readout.say("saved gap.toml; make the data: gelgap generate gap.toml --out data")
+        pressed = "" if target.configuration.indenter == Sphere() else "--indenter NAME-OR-FILE "
+        self._readout.say(f"saved gap.toml; make the data: gelgap generate gap.toml {pressed}--out data")
         return {"gap.toml": content}
 
 

@@ -61,8 +61,13 @@ def recipe_toml(source: Configuration, target: Configuration, path: str = "cpu")
     Raises
     ------
     ValueError
-        If a sensor is no preset and has a flat field, which is a file of its own.
+        If a sensor is no preset and has a flat field, which is a file of its own, or the indenters differ.
     """
+    if source.indenter != target.indenter:
+        raise ValueError(
+            f"source and target have two indenters, {source.indenter.label} and {target.indenter.label}, which a "
+            "recipe cannot hold: press both with one"
+        )
     domains = [_entry("source", source), _entry("target", target)]
     return tomli_w.dumps({"path": path, "domains": domains}).encode()
 

@@ -11,7 +11,15 @@ import viser
 from viser import transforms
 
 from gelgap.render import Illumination, Led
-from gelgap.view.meshes import Colouring, coloured_mesh, glb, indenter_centre_mm, membrane_mesh
+from gelgap.sim.shapes import AnyIndenter
+from gelgap.view.meshes import (
+    Colouring,
+    coloured_mesh,
+    glb,
+    indenter_centre_mm,
+    indenter_mesh,
+    membrane_mesh,
+)
 from gelgap.view.pictures import swatch
 from gelgap.view.state import Shown
 
@@ -35,7 +43,8 @@ class Scene3d:
         self._moved_led = moved_led
         self._numbers = count()
         self._membrane: viser.GlbHandle | None = None
-        self._indenter = self._scene.add_icosphere("/indenter", 1.0, _INDENTER_COLOUR, opacity=0.3)
+        self._indenter: viser.MeshHandle | None = None
+        self._body: AnyIndenter | None = None
         self._leds: list[viser.TransformControlsHandle] = []
         self._illumination: Illumination | None = None
         self._chosen = 0
@@ -63,8 +72,12 @@ class Scene3d:
         membrane, meaning = _coloured(shown, colouring)
         self._swap_membrane(glb(membrane))
         centre = indenter_centre_mm(shown.solved, (pose.point_x_mm, pose.point_y_mm), indenter)
+        if indenter != self._body:
+            mesh, self._body = indenter_mesh(indenter), indenter
+            self._indenter = self._scene.add_mesh_simple(
+                "/indenter", mesh.vertices, mesh.faces, color=_INDENTER_COLOUR, opacity=0.3, side="double"
+            )
         self._indenter.position = tuple(centre)
-        self._indenter.scale = indenter.radius_mm
         self._show_leds(shown.configuration.illumination, chosen_led)
         return meaning
 

@@ -18,8 +18,10 @@ from gelgap.sim import (
     Sphere,
     solve_pose,
 )
+from gelgap.sim.indenter import Symmetry
 from gelgap.sim.library import LibraryPose
 from gelgap.sim.scene import is_interior
+from gelgap.sim.shapes import AnyIndenter
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6
@@ -34,7 +36,7 @@ class LibraryRequest:
     """The library of poses of a gel, from which all its poses are interpolated."""
 
     elastomer: Elastomer
-    indenter: Sphere
+    indenter: AnyIndenter
 
     @property
     def plan(self) -> LibraryPlan:
@@ -47,7 +49,7 @@ class PoseRequest:
     """One pose, solved by itself."""
 
     elastomer: Elastomer
-    indenter: Sphere
+    indenter: AnyIndenter
     pose: Pose
     quality: QualityName
 
@@ -63,7 +65,7 @@ class Configuration:
     sensor: Sensor
     illumination: Illumination
     pose: Pose = field(default_factory=lambda: Pose(depth_mm=0.6))
-    indenter: Sphere = field(default_factory=Sphere)
+    indenter: AnyIndenter = field(default_factory=Sphere)
     markers: bool = True
     noise: bool = False
     quality: QualityName = "standard"
@@ -83,12 +85,16 @@ class Configuration:
     def library_keys(self) -> tuple[str, ...]:
         """Return the names of the solves that its library is made of; gels with the same ones share the library.
 
+        There are none for a body that no library serves, whose poses are solved by themselves.
+
         Raises
         ------
         ValueError
             If the gel is too thin for the library.
         """
-        return _library_keys(self.library)
+        body = self.indenter
+        is_served = body.convex and body.symmetry is Symmetry.REVOLUTION and body.deepest_mm >= DEEPEST_MM
+        return _library_keys(self.library) if is_served else ()
 
 
 @lru_cache(maxsize=256)
@@ -128,7 +134,8 @@ class LiveModel:
 
     def lacks(self, configuration: Configuration) -> LibraryRequest | None:
         """Return the library that has to be solved for a configuration; None if it is there."""
-        return None if configuration.library_keys() in self._libraries else configuration.library
+        keys = configuration.library_keys()
+        return None if not keys or keys in self._libraries else configuration.library
 
     def add_library(self, request: LibraryRequest, library: PoseLibrary) -> None:
         """Take in the library of a gel, and of all gels that share it."""
@@ -177,18 +184,25 @@ class LiveModel:
         request = configuration.exact_pose
         if request in self._exact:
             return self._exact[request], f"this pose, solved at {configuration.quality}", True
-        library = self._libraries.get(configuration.library_keys())
+        keys = configuration.library_keys()
+        library = self._libraries.get(keys)
+        if not keys:
+            said = "no contact is shown until this very pose is solved: press the button under Contact"
+            return _flat(configuration), said, False
         if library is not None:
             self._last_library = library
             said = "interpolated between poses solved at draft"
             if not is_interior(configuration.elastomer, configuration.pose):
                 said += "; the pad's edge, which is near, is left out"
-        elif self._last_library is not None:
+        elif self._last_library is not None and self._last_library.plan.indenter == configuration.indenter:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"
         else:
-            flat = solve_pose(configuration.elastomer, configuration.indenter, Pose(depth_mm=0.0))
-            return flat, "no contact is shown until this gel is solved", False
+            return _flat(configuration), "no contact is shown until this gel is solved", False
         return self._last_library.pose(configuration.elastomer, configuration.pose), said, False
+
+
+def _flat(configuration: Configuration) -> SolvedPose:
+    return solve_pose(configuration.elastomer, configuration.indenter, Pose(depth_mm=0.0))
 
 
 def _keep(kept: dict, key: object, value: object) -> None:

@@ -45,7 +45,7 @@ def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused
     )
     tip.vertices[8:, 2] -= 0.008
     tip.export(tmp_path / "tip.stl")
-    press = ("press", "--depth-mm", "9", "--indenter", str(tmp_path / "tip.stl"))
+    press = ("press", "--depth-mm", "9", "--indenter", str(tmp_path / "tip.stl"), "--set", "edge_radius_mm=0")
     assert "set unit: " in refused(*press)
     assert "16 × 16 × 4 mm" in refused(*press, "--set", "unit=m")
     message = refused(*press, "--set", "unit=m", "flip=true")

@@ -141,6 +141,62 @@ def test_a_surface_of_damaged_heights_is_refused() -> None:
             Surface.model_validate(BALL.model_dump() | {"heights": heights})
 
 
+SUM = """
+yaw_deg = 90
+[[parts]]
+shape = "sphere"
+diameter_mm = 3.0
+at_mm = [-1.6, 0]
+[[parts]]
+shape = "box"
+size_mm = [2, 1]
+at_mm = [1.6, 0.0, 0.1]
+"""
+
+
+def test_bodies_at_their_places_are_pressed_as_one(tmp_path: Path) -> None:
+    (tmp_path / "sum.toml").write_text(SUM)
+    both = load_indenter(str(tmp_path / "sum.toml"))
+    ball_mm = Sphere().penetration_radius_mm(0.3)
+    # Turned by 90°, x becomes y: the box's end, 2.6 mm from the axis, and the ball's rim on the other side.
+    assert both.cut_mm(0.3) == pytest.approx((-ball_mm, ball_mm, -1.6 - ball_mm, 2.6), abs=0.03)
+    assert both.cut_mm(0.05)[3] < 0
+    assert both.deepest_mm == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("yaw_deg = 3", "nothing: an indenter has one of shape, mesh, map, object, parts"),
+        ("shape = 'box'\nobject = 'key'", "shape, object: an indenter has one of"),
+        ("parts = 3", "must be tables"),
+        ("[[parts]]\nshape = 'box'\nat_mm = [1]", "part 1: must be two or three numbers"),
+        ("[[parts]]\nshape = 'box'\nat_mm = [1, 80]", "part 1: must be within ±50 mm"),
+        ("[[parts]]\nshape = 'box'\nradius_mm = 3", "part 1: radius_mm: a box has none"),
+        ("flip = true\nobject = 'key'", "flip: a surface has none"),
+    ],
+)
+def test_what_is_no_body_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "body.toml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_indenter(str(tmp_path / "body.toml"))
+
+
+def test_a_sharp_mesh_is_rounded_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    trimesh.creation.box((4, 3, 3)).export(tmp_path / "box.stl")
+    assert load_indenter(str(tmp_path / "box.stl")).edge_radius_mm == 0.25
+    assert "its sharp edges are rounded by 0.25 mm" in caplog.text
+    assert load_indenter(str(tmp_path / "box.stl"), edge_radius_mm=0.0).edge_radius_mm == 0
+    trimesh.creation.icosphere(3, 2.0).export(tmp_path / "ball.stl")
+    assert load_indenter(str(tmp_path / "ball.stl")).edge_radius_mm == 0
+
+
+def test_no_edge_seems_sharper_than_the_ball_that_rounded_it() -> None:
+    moon = np.where((np.hypot(X, Y) < 2.5) & (np.hypot(X - 1.5, Y) > 2.0), 0.0, np.inf)
+    body = Surface.of(moon, 0.05, height_mm=4.0, edge_radius_mm=0.25)
+    assert min(body.curvature(0.3, axis, 0.15)[1].min() for axis in (0, 1)) >= 0.25
+
+
 @pytest.mark.parametrize("name", OBJECTS)
 def test_an_object_is_a_preset(name: str) -> None:
     body = load_indenter(name, edge_radius_mm=0.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import Elastomer, Pose, PoseLibrary, solve_pose
+from gelgap.sim import Cone, Elastomer, Pose, PoseLibrary, load_indenter, solve_pose
 from gelgap.view.pictures import SIZE_PX
 from gelgap.view.state import Configuration, LiveModel
 
@@ -126,3 +126,24 @@ def test_an_illumination_with_other_leds_is_taken_over(model: LiveModel, start: 
     state = shown.solved
     anew = MembraneRenderer(start.sensor, Illumination.preset("i2"), SIZE_PX)
     np.testing.assert_array_equal(shown.picture, anew.picture(state.x_mm, state.y_mm, state.displacement_mm))
+
+
+def test_a_body_without_a_library_is_shown_once_its_pose_is_solved(
+    model: LiveModel, start: Configuration
+) -> None:
+    ring = replace(start, indenter=load_indenter("ring"), pose=Pose(depth_mm=0.0))
+    model.show(start)
+    assert model.lacks(ring) is None
+    assert not model.show(ring).exact
+    solved = solve_pose(ring.elastomer, ring.indenter, ring.pose)
+    model.add_pose(ring.exact_pose, solved)
+    shown = model.show(ring)
+    assert shown.exact
+    assert shown.solved is solved
+
+
+def test_no_other_bodys_library_stands_in(model: LiveModel, start: Configuration) -> None:
+    model.show(start)
+    cone = replace(start, indenter=Cone(diameter_mm=8.0))
+    assert model.lacks(cone) == cone.library
+    assert not model.show(cone).solved.force_n.any()
