@@ -154,5 +154,5 @@ def test_what_is_missing_beside_the_presses_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", "presses.toml", "-o", str(tmp_path / "fitted.toml")])
+        main(["calibrate", str(listed(tmp_path, "depth_mm = 0.6")), "-o", str(tmp_path / "fitted.toml")])
     assert "needs --reference" in capsys.readouterr().err
