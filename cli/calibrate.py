@@ -64,7 +64,7 @@ class Calibrate(opt.Command):
     the unchanged reference, inside or around the contact, is refused.
 
     For example:
-      gelgap calibrate ball-pictures --ball-mm 3 --mm-per-px 0.1
+      gelgap calibrate ball-pictures --ball-mm 4 --mm-per-px 0.12
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
@@ -199,11 +199,12 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
     if fit.has_dots:
         lines.append("dots are left out of the fit and of these figures; predictions move them with the gel")
-    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
-    for led, azimuth, elevation in leds:
-        lines.append(
-            f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
-        )
+    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg[:, 0], strict=True)
+    sides = ", ".join(f"{led.name or '?'} {round(azimuth, -1) % 360:.0f}°" for led, azimuth in leds)
+    lines.append(
+        f"light from about {sides} (0° right, 90° down); pictures hold an LED's direction to 8 to 20°, its size and "
+        "distance hardly"
+    )
     distance_mm = -fit.sensor.camera.position_mm[2]
     distance = _with_error(distance_mm, distance_mm**2 * fit.nearness_error_per_mm)
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""

@@ -29,8 +29,8 @@ _MOST_MOVED, _SHRINKS, _GROWS = 0.6, 0.6, 1.5  # of the radius, in a round
 _RIDGE = 1e-4
 _FAR = 2.5  # radii
 _DETAIL_PX = 3.0
-# Of a phase correlation; that of noise alone is less than 11 over the square root of its pixels.
-_LEAST_RESPONSE, _NOISE_RESPONSE = 0.06, 15.0
+# Of a phase correlation; noise alone has less than 11 over the square root of its pixels.
+_LEAST_RESPONSE, _NOISE_RESPONSE = 0.03, 12.0
 
 
 @dataclass(frozen=True)
