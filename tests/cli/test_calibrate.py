@@ -78,7 +78,7 @@ def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     printed, known = capsys.readouterr().out, Sensor.load(tmp_path / "own.toml").known
     for said in (printed, known):
         assert "30.0 (30.0)" in said
-        assert re.search(r"light from about \S+ 10°", said)
+        assert re.search(r"light from about [^°]* 10°", said)
         assert re.search(r"camera \d+ ± \d+ mm from the gel", said)
     row = cv2.imread(str(tmp_path / "own-held-out" / "held-out-01.png"))
     assert row.shape == (24, 96, 3)
