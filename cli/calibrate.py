@@ -64,7 +64,7 @@ class Calibrate(opt.Command):
     the unchanged reference, inside or around the contact, is refused.
 
     For example:
-      gelgap calibrate ball-pictures --ball-mm 4 --mm-per-px 0.12
+      gelgap calibrate ball-pictures --ball-mm 4 --mm-per-px 0.12 -o fitted.toml
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 

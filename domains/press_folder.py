@@ -63,14 +63,12 @@ def mark_presses(
 
     Raises
     ------
-    FileExistsError
-        If the folder has a list already.
     ValueError
-        If it has no pictures, or of several sizes, none is without contact, or contacts are larger than such a ball
-        leaves.
+        If it has a list already, no pictures, or of several sizes, none is without contact, or contacts are larger than
+        such a ball leaves.
     """
     if (path := folder / LIST).exists():
-        raise FileExistsError(
+        raise ValueError(
             f"{path} exists, and may have been corrected: calibrate it, or take it away to have presses marked anew"
         )
     pictures = _pictures(folder)

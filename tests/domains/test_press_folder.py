@@ -78,7 +78,7 @@ def test_reference_centres_and_radii_are_found_also_of_a_cut_press(folder: Path)
 
 def test_what_may_have_been_corrected_is_not_overwritten(folder: Path) -> None:
     mark_presses(folder, BALL_MM, mm_per_px())
-    with pytest.raises(FileExistsError, match=r"presses\.toml exists, and may have been corrected"):
+    with pytest.raises(ValueError, match=r"presses\.toml exists, and may have been corrected"):
         mark_presses(folder, BALL_MM, mm_per_px())
 
 
