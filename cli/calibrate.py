@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from gelgap import domains, render
+from gelgap.assets.names import comma_list
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -44,7 +45,9 @@ def check_mm_per_px(value: float) -> None:
 class Calibrate(opt.Command):
     """Fit LEDs, scattered light and flat field to a reference picture and pictures of pressed spheres.
 
-    PRESSES is a TOML file with one table per picture; give six presses or more, better 24, spread over the view:
+    PRESSES is a folder of pictures, or videos, of a pressed ball and of the gel at rest: the presses are marked,
+    and written to presses.toml there, with presses-sheet.png to check them. Or it is such a TOML file, with one table
+    per picture; give six presses or more, better 24, spread over the view:
 
       [[presses]]
       picture = "press-1.png"        # beside the TOML file
@@ -61,22 +64,25 @@ class Calibrate(opt.Command):
     the unchanged reference, inside or around the contact, is refused.
 
     For example:
+      gelgap calibrate ball-pictures --ball-mm 4 --mm-per-px 0.12 -o fitted.toml
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
-    """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
     presses: tyro.conf.Positional[Path]
-    """TOML file that lists the pictures of pressed spheres; or gelsight or gelsight_mini, calibration pictures of the
-    package taxim, or a folder with such a dataPack.npz."""
-    reference: Annotated[Path | None, opt.optional("PATH", "the package's")] = None
+    """Folder of pictures or videos; or a TOML file that lists pictures of pressed spheres; or gelsight or
+    gelsight_mini, calibration pictures of the package taxim, or a folder with such a dataPack.npz."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")] = Path("fitted.toml")
+    """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
+    reference: Annotated[Path | None, opt.optional("PATH", "the list's, the folder's or the package's")] = (
+        None
+    )
     """Picture without contact."""
     sensor: Annotated[str | None, opt.optional("NAME")] = None
     """Where the fit starts, instead of --mm-per-px: a sensor preset or TOML file; its LEDs within 30°, or none."""
     mm_per_px: Annotated[float | None, opt.optional("MM"), check_mm_per_px] = None
-    """How much of the gel a pixel shows. Of taxim 0.0295 if left out, as it says."""
-    sphere_diameter_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
-    """The sphere's diameter in all presses, whatever the list or the package says."""
+    """How much of the gel a pixel shows. Left out, as the list says; of taxim 0.0295, as it says."""
+    ball_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
+    """The ball's diameter in all presses, whatever the list or the package says; a folder needs it."""
     held_out_parts: Annotated[int, opt.between(0, 24)] = 3
     """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
     keep_camera: opt.Flag = False
@@ -117,32 +123,55 @@ class Calibrate(opt.Command):
             write_comparisons(fit, presses, self.out.with_name(f"{self.out.stem}-held-out"))
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
-        from gelgap.assets.image_file import read_image
-        from gelgap.domains.calibration_presses import NAMES, taxim_presses
-        from gelgap.render.calibration.pictures import read_presses
+        from gelgap.domains.calibration_presses import NAMES, PACK, taxim_presses
 
-        if self.presses.is_dir() or str(self.presses) in NAMES:
+        if str(self.presses) in NAMES or (self.presses / PACK).is_file():
             if self.reference:
                 raise ValueError(f"{self.presses} brings its own reference; leave out --reference")
             found = taxim_presses(str(self.presses), self.mm_per_px)
             start, reference, presses = found.start, found.reference, found.presses
-        elif self.reference and (self.sensor is None) != (self.mm_per_px is None):
-            presses, reference = read_presses(self.presses), read_image(self.reference)
-            camera = render.Camera()
-            if self.mm_per_px:
-                camera = render.Camera.showing(reference.shape[1] * self.mm_per_px)
-            markers = render.Markers(layout="none")
-            start = render.Sensor(name=self.out.stem, camera=camera, markers=markers)
         else:
-            raise ValueError(
-                f"{self.presses}: beside a list of presses, calibrate needs --reference, and either --mm-per-px or "
-                "--sensor"
+            start, reference, presses = self._listed(
+                self._marked() if self.presses.is_dir() else self.presses
             )
         if self.sensor is not None:
             start = opt.named(render.Sensor, self.sensor)
-        if self.sphere_diameter_mm is not None:
-            presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
+        if self.ball_mm is not None:
+            presses = tuple(replace(press, sphere_diameter_mm=self.ball_mm) for press in presses)
         return start, reference, presses
+
+    def _marked(self) -> Path:
+        """Return the list of the presses that are found in a folder."""
+        from gelgap.domains.press_folder import SHEET, mark_presses
+
+        if self.ball_mm is None or self.mm_per_px is None:
+            raise ValueError(
+                f"{self.presses} is a folder: to mark its presses, calibrate needs --ball-mm, the ball's diameter, and "
+                "--mm-per-px"
+            )
+        found = mark_presses(self.presses, self.ball_mm, self.mm_per_px, self.reference)
+        print(f"wrote {found.path} with {found.count} presses; look at {self.presses / SHEET}")
+        if found.without_contact:
+            print(f"without contact: {comma_list(found.without_contact)}")
+        for doubt in found.doubts:
+            print(f"gelgap: warning: {self.presses}: {doubt}", file=sys.stderr)
+        return found.path
+
+    def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
+        from gelgap.assets.image_file import read_image
+        from gelgap.render.calibration.pictures import read_press_list
+
+        listed = read_press_list(path)
+        reference = self.reference or (path.parent / listed.reference if listed.reference else None)
+        mm_per_px = self.mm_per_px or (listed.mm_per_px if self.sensor is None else None)
+        if reference is None or (self.sensor is None) == (mm_per_px is None):
+            raise ValueError(
+                f"{path}: beside a list of presses, calibrate needs --reference, and either --mm-per-px or --sensor"
+            )
+        presses, picture = listed.pictures(path.parent), read_image(reference)
+        camera = render.Camera.showing(picture.shape[1] * mm_per_px) if mm_per_px else render.Camera()
+        start = render.Sensor(name=self.out.stem, camera=camera, markers=render.Markers(layout="none"))
+        return start, picture, presses
 
 
 def report_lines(fit: "render.LightCalibration") -> list[str]:
@@ -170,11 +199,12 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
     if fit.has_dots:
         lines.append("dots are left out of the fit and of these figures; predictions move them with the gel")
-    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
-    for led, azimuth, elevation in leds:
-        lines.append(
-            f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
-        )
+    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg[:, 0], strict=True)
+    sides = ", ".join(f"{led.name or '?'} {round(azimuth, -1) % 360:.0f}°" for led, azimuth in leds)
+    lines.append(
+        f"light from about {sides} (0° right, 90° down); pictures hold an LED's direction to 8 to 20°, its size and "
+        "distance hardly"
+    )
     distance_mm = -fit.sensor.camera.position_mm[2]
     distance = _with_error(distance_mm, distance_mm**2 * fit.nearness_error_per_mm)
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""

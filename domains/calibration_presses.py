@@ -19,6 +19,7 @@ from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
 _COLOURS = ("red", "green", "blue")
 NAMES = ("gelsight", "gelsight_mini")
+PACK = "dataPack.npz"
 MM_PER_PX = 0.0295
 BALL_DIAMETER_MM = 4.0
 # Marks of the Mini's set are off by up to 20 px and go round the whole dent; what its ball was is not said.
@@ -61,7 +62,7 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
     package = find_spec("taxim") if name in NAMES else None  # looks it up without running any of it
     if package is not None and package.submodule_search_locations:
         folder = Path(package.submodule_search_locations[0]) / "calib" / name
-    path = folder / "dataPack.npz"
+    path = folder / PACK
     if not path.is_file():
         raise FileNotFoundError(
             f"{path} does not exist; give a folder with a dataPack.npz, or {' or '.join(NAMES)} where taxim is "

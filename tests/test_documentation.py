@@ -334,6 +334,9 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
             f"point_mm = [{float(x)}, {float(y)}]\n"
         )
     (folder / "presses.toml").write_text("".join(tables))
+    (folder / "ball-pictures").mkdir()
+    for path in (folder / "ref.png", *folder.glob("press-*.png")):
+        shutil.copy(path, folder / "ball-pictures")
 
 
 def test_no_entry_of_the_tables_is_left_over() -> None:

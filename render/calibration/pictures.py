@@ -83,17 +83,37 @@ _NEEDED = (
 )
 
 
-class _PressList(Settings):
+class PressList(Settings):
+    """A list of presses, and perhaps the picture without contact, beside it, and how much of the gel a pixel shows."""
+
     presses: tuple[ListedPress, ...]
+    reference: Annotated[str, AfterValidator(_beside)] | None = None
+    mm_per_px: float | None = None
+
+    def pictures(self, folder: Path) -> tuple[PressPicture, ...]:
+        """Read the presses' pictures."""
+        return tuple(
+            PressPicture(
+                read_image(folder / press.picture),
+                name=f"press {number} ({press.picture})",
+                **press.model_dump(exclude={"picture"}),
+            )
+            for number, press in enumerate(self.presses, start=1)
+        )
 
 
 def read_presses(path: Path) -> tuple[PressPicture, ...]:
-    """Read a list of presses, a TOML file with one table [[presses]] per picture, and their pictures.
+    """Read the presses of a list and their pictures; raises what `read_press_list` and `read_image` do."""
+    return read_press_list(path).pictures(path.parent)
+
+
+def read_press_list(path: Path) -> PressList:
+    """Read a list of presses, a TOML file with one table [[presses]] per picture.
 
     Raises
     ------
     FileNotFoundError
-        If the list or a picture does not exist.
+        If the list does not exist.
     ValueError
         If the list is not valid TOML, or a field of a press is unknown, missing or not what it should be.
     """
@@ -105,15 +125,7 @@ def read_presses(path: Path) -> tuple[PressPicture, ...]:
     except (ValueError, FileNotFoundError) as error:
         raise type(error)(f"{error}; {_NEEDED}") from None
     with named_in_errors(path):
-        listed = _PressList(**table).presses
-    return tuple(
-        PressPicture(
-            read_image(path.parent / press.picture),
-            name=f"press {number} ({press.picture})",
-            **press.model_dump(exclude={"picture"}),
-        )
-        for number, press in enumerate(listed, start=1)
-    )
+        return PressList(**table)
 
 
 def press_names(presses: Sequence[PressPicture]) -> tuple[str, ...]:

@@ -1,0 +1,221 @@
+"""A folder of pictures of a pressed ball, or of videos, made a list of presses: `presses.toml` and a sheet to check it.
+
+The reference is the picture whose name says so, else the one without an imprint on what most pictures have in common.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from gelgap.assets.image_file import SUFFIXES, read_image
+from gelgap.assets.names import comma_list
+from gelgap.assets.whole_file import write_whole
+from gelgap.domains.calibration_presses import sphere_profiles
+from gelgap.domains.formats.convert import VIDEOS, video_pictures
+from gelgap.domains.formats.pictures import encode_png
+from gelgap.render import difference_picture
+from gelgap.render.calibration.marks import FoundMark, find_marks
+
+LIST, SHEET = "presses.toml", "presses-sheet.png"
+_NAMED_REFERENCE = re.compile(
+    r"(^|[^a-z])(ref(erence)?|background|bg|blank|rest|untouched)($|[^a-z])", re.IGNORECASE
+)
+_SMALL_PX = (80, 60)
+# An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,
+# and what that has at most of the next smallest.
+_NO_IMPRINT, _MOST_IMPRINT, _CLEARLY_LESS = 0.3, 0.7, 0.85
+# Dents of balls on real sensors leave 0.1 to 0.21 unexplained; another body, or two imprints, more than 0.33.
+_MOST_UNEXPLAINED, _MOST_SHIFT = 0.3, 0.01  # the latter of the width
+# Of the largest change in a video: more is a press, less is rest; at a press's end all is nearly as deep.
+_PRESSED, _AT_REST, _DEEPEST = 0.3, 0.1, 0.9
+_FEWEST_FRAMES = 3
+_TILE_PX, _TILES, _DIFFERENCE_GAIN = 320, 3, 2
+_HEAD = """\
+# Presses that gelgap found: look at {sheet}, and correct here what is wrong. Then: gelgap calibrate {list}
+# mm_per_px: how much of the gel a pixel shows. sphere_diameter_mm: the ball's diameter, twice its radius.
+# center_px, radius_px: the circle (column, row) in which gel touches the ball, which is less than the dent.
+
+"""
+
+
+@dataclass(frozen=True)
+class FoundPresses:
+    """The list that was written, names of pictures without contact, and sentences on what looks wrong."""
+
+    path: Path
+    count: int
+    without_contact: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def mark_presses(
+    folder: Path, ball_mm: float, mm_per_px: float, reference: Path | None = None
+) -> FoundPresses:
+    """Find reference, presses, centres and radii in a folder, and write its `presses.toml` and `presses-sheet.png`.
+
+    `ball_mm` is the ball's diameter. Of each video the stillest picture at rest and of each press are taken, and
+    written beside it.
+
+    Raises
+    ------
+    ValueError
+        If it has a list already, no pictures, or of several sizes, none is without contact, or contacts are larger than
+        such a ball leaves.
+    """
+    if (path := folder / LIST).exists():
+        raise ValueError(
+            f"{path} exists, and may have been corrected: calibrate it, or take it away to have presses marked anew"
+        )
+    pictures = _pictures(folder)
+    rest = _reference(folder, pictures, reference)
+    flat = pictures.pop(rest)
+    profiles = sphere_profiles({ball_mm})[ball_mm]
+    marks = dict(zip(pictures, find_marks(flat, list(pictures.values()), profiles, mm_per_px), strict=True))
+    found = {name: mark for name, mark in marks.items() if mark is not None}
+    if not found:
+        raise ValueError(f"{folder}: no picture differs from {rest}, the one without contact")
+    largest = [name for name, mark in found.items() if mark.is_largest]
+    if 2 * len(largest) > len(found):
+        most_px = found[largest[0]].radius_px
+        raise ValueError(
+            f"{folder}: in {len(largest)} of {len(found)} pictures the contact is as large as a ball of {ball_mm:g} mm "
+            f"diameter leaves at most ({most_px:.0f} px at {mm_per_px:g} mm per px), or larger: check --ball-mm and "
+            "--mm-per-px"
+        )
+    text = _HEAD.format(sheet=SHEET, list=LIST) + tomli_w.dumps({"reference": rest, "mm_per_px": mm_per_px})
+    for name, mark in found.items():
+        (x, y), radius = mark.center_px, mark.radius_px
+        text += "\n[[presses]]\n" + tomli_w.dumps({"picture": name, "sphere_diameter_mm": ball_mm})
+        text += f"center_px = [{x:.1f}, {y:.1f}]\nradius_px = {radius:.1f}\n"
+    write_whole(
+        folder / SHEET, encode_png(_sheet(flat, [(name, pictures[name], found[name]) for name in found]))
+    )
+    write_whole(path, text.encode())
+    without = tuple(name for name, mark in marks.items() if mark is None)
+    return FoundPresses(path, len(found), without, tuple(_doubts(found, flat.shape[1])))
+
+
+def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
+    bad = [name for name, mark in found.items() if mark.unexplained > _MOST_UNEXPLAINED]
+    moved = [name for name, mark in found.items() if mark.shift_px > _MOST_SHIFT * width_px]
+    doubts = []
+    if bad:
+        doubts.append(f"not like a ball's dent, so look at their marks or leave them out: {comma_list(bad)}")
+    if moved:
+        most_px = max(mark.shift_px for mark in found.values())
+        doubts.append(
+            f"shifted against the reference, by up to {most_px:.0f} px, as if the camera had moved: {comma_list(moved)}"
+        )
+    return doubts
+
+
+def _pictures(folder: Path) -> dict[str, np.ndarray]:
+    """Return the pictures of a folder, all of one size, by their names."""
+    files = sorted(path for path in folder.iterdir() if path.is_file() and path.name != SHEET)
+    stills = [path for path in files if path.suffix.lower() in SUFFIXES]
+    videos = [path for path in files if path.suffix.lower() in VIDEOS]
+    pictures = {path.name: read_image(path) for path in stills}
+    of_videos: dict[str, np.ndarray] = {}
+    for video in videos:
+        of_videos |= stills_of(video)
+    pictures |= of_videos
+    if len(pictures) < 2:
+        raise ValueError(
+            f"{folder} holds {len(pictures)} pictures: a picture without contact and six or more of a pressed ball are "
+            f"needed ({', '.join(SUFFIXES)}), or videos of that ({', '.join(VIDEOS)})"
+        )
+    sizes = [picture.shape for picture in pictures.values()]
+    usual = max(set(sizes), key=sizes.count)
+    for name, picture in pictures.items():
+        if picture.shape != usual:
+            raise ValueError(
+                f"{folder / name} is a picture of {picture.shape[1]}×{picture.shape[0]} px, and most are "
+                f"{usual[1]}×{usual[0]} px: all must come from the same camera"
+            )
+    for name, picture in of_videos.items():
+        write_whole(folder / name, encode_png(picture))
+    return pictures
+
+
+def stills_of(video: Path) -> dict[str, np.ndarray]:
+    """Return by name the stillest picture of a video at rest, and of each press; it begins at rest.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read, or nothing in it changes for longer than a moment.
+    """
+    small = np.array([_small(picture) for picture in video_pictures(video)])
+    if len(small) < _FEWEST_FRAMES:
+        raise ValueError(f"{video} has {len(small)} pictures; a press and a moment before it are needed")
+    change = np.abs(small - small[0]).mean(axis=(1, 2, 3))
+    motion = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2, 3))
+    motion = np.maximum(np.r_[motion[0], motion], np.r_[motion, motion[-1]])
+    chosen = {int(min(np.flatnonzero(change <= _AT_REST * change.max()), key=motion.__getitem__)): "rest"}
+    for pressed, run in groupby(range(len(change)), key=lambda at: change[at] > _PRESSED * change.max()):
+        frames = list(run)
+        if pressed and len(frames) >= _FEWEST_FRAMES:
+            deep = [at for at in frames if change[at] >= _DEEPEST * change[frames].max()]
+            chosen[min(deep, key=motion.__getitem__)] = f"press-{len(chosen)}"
+    if len(chosen) == 1:
+        raise ValueError(f"{video}: no press lasts for {_FEWEST_FRAMES} pictures")
+    return {
+        f"{video.stem}-{chosen[at]}.png": picture
+        for at, picture in enumerate(video_pictures(video))
+        if at in chosen
+    }
+
+
+def _small(picture: np.ndarray) -> np.ndarray:
+    """Return (60, 80, 3) float32, at one level: a whole picture that is brighter is none that is pressed."""
+    import cv2
+
+    small = cv2.resize(picture, _SMALL_PX, interpolation=cv2.INTER_AREA).astype(np.float32)
+    return small - np.median(small, axis=(0, 1))
+
+
+def _reference(folder: Path, pictures: dict[str, np.ndarray], given: Path | None) -> str:
+    """Return the name of the picture without contact."""
+    if given is not None:
+        if given.resolve().parent != folder.resolve() or given.name not in pictures:
+            raise ValueError(f"--reference {given}: must be a picture in {folder}, beside the presses")
+        return given.name
+    named = [name for name in pictures if _NAMED_REFERENCE.search(Path(name).stem)]
+    if named:
+        return named[0]
+    small = np.array([_small(picture) for picture in pictures.values()])
+    imprints = np.abs(small - np.median(small, axis=0)).max(axis=(1, 2, 3))
+    name = list(pictures)[imprints.argmin()]
+    least, second = np.sort(imprints)[:2] / np.median(imprints)
+    if least > _MOST_IMPRINT or least > max(_NO_IMPRINT, _CLEARLY_LESS * second):
+        raise ValueError(
+            f"{folder}: no picture seems to be without contact ({name} is the nearest to it); add a picture of the "
+            "untouched gel, named reference.png or by --reference"
+        )
+    return name
+
+
+def _sheet(flat: np.ndarray, presses: Sequence[tuple[str, np.ndarray, FoundMark]]) -> np.ndarray:
+    """Return a picture of all presses: each with its circle, beside 128 plus twice its difference to the reference."""
+    import cv2
+
+    tiles = []
+    for name, picture, mark in presses:
+        scale, halves = _TILE_PX / picture.shape[1], []
+        (x, y), radius = np.array(mark.center_px) * scale, mark.radius_px * scale
+        for image in (picture, difference_picture(picture, flat, _DIFFERENCE_GAIN)):
+            half = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            halves.append(
+                cv2.circle(half, (round(x), round(y)), round(radius), (255, 255, 0), 1, cv2.LINE_AA)
+            )
+        tile, label = np.hstack(halves), f"{name}  r {mark.radius_px:.0f} px"
+        for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+            cv2.putText(tile, label, (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, thickness, cv2.LINE_AA)
+        tiles.append(tile)
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % _TILES)
+    return np.vstack([np.hstack(tiles[first : first + _TILES]) for first in range(0, len(tiles), _TILES)])
