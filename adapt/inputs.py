@@ -122,14 +122,14 @@ INPUTS = {
     ),
     "standardised": Input("each channel standardised by its domain's pictures", standardisation),
     "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
-    "markers": Input("how far markers have moved", None, 3, needs_difference=True, shows_displacement=True),
+    "markers": Input("how far markers have moved", None, 2, needs_difference=True, shows_displacement=True),
     "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
 }
 """What a network can be shown."""
 
 
 class Displacements:
-    """How far the membrane of each frame has moved along x and y, mm, and where that is known: (n, 3, h, w).
+    """How far the membrane of each frame has moved along x and y, (n, 2, h, w) in mm.
 
     Markers are found and matched in the stored pictures and interpolated on a grid of the gel, which is the same for
     every sensor, whatever its pattern, camera and light (`gelgap.domains.frames.marker_motion`).
@@ -148,7 +148,7 @@ class Displacements:
         self._fields = torch.from_numpy(kept[size_px, span_mm]).to(device)
 
     def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
-        """Return the displacements (B, 3, h, w) of these frames."""
+        """Return the displacements (B, 2, h, w) of these frames."""
         return self._fields[rows].float().permute(0, 3, 1, 2)
 
     def __len__(self) -> int:
@@ -162,8 +162,8 @@ _FIELDS: "WeakKeyDictionary[LabelledFrames, dict[object, np.ndarray]]" = WeakKey
 def _displacement_fields(
     frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]
 ) -> np.ndarray:
-    """Return (n, h, w, 3) float16: both displacements in mm, to 0.2 µm, and 1 where they are known."""
-    fields = np.zeros((len(frames), size_px[1], size_px[0], 3), np.float16)
+    """Return displacements (n, h, w, 2) in mm, float16: to 0.2 µm of 0.5 mm."""
+    fields = np.zeros((len(frames), size_px[1], size_px[0], 2), np.float16)
     unmatched = []
     for number, (read, camera) in enumerate(zip(frames.rest_pictures, frames.cameras, strict=True)):
         rows = np.flatnonzero(frames.reference_id == number)

@@ -17,8 +17,8 @@ FEWEST_MARKERS = 8
 _MATCHED_WITHIN = 0.4
 # Of the rest area: blobs of other sizes are markers that have merged, or are half hidden.
 _AREA_FACTORS = 0.4, 1.7
-# Of the usual distance to four neighbours: as far from a marker its motion is known.
-_KNOWN_WITHIN = 0.75
+# So far beyond the grid the gel is held at rest, at so many points, which bounds what lies beyond the markers.
+_AT_REST_BEYOND_MM, _AT_REST = 3.0, 24
 
 
 class MarkerTracker:
@@ -81,15 +81,15 @@ class MarkerTracker:
 
 
 class ThinPlate:
-    """Interpolates values at fixed places on a grid: the surface of least bending energy through those that are known.
+    """Interpolates displacements of fixed places on a grid: the surface of least bending energy through those known.
 
-    Its matrices are made once, so that a frame costs a product. Values that are not known are first set to what bends
-    least, which gives the interpolant of the others.
+    Its matrices are made once, so that a frame costs a product. Those that are not known are first set to what bends
+    least, which gives the interpolant of the others. On an ellipse around the grid nothing moves.
 
     Parameters
     ----------
     places_mm
-        (n, 2), not on one line.
+        (n, 2).
     size, span_mm
         Columns and rows of the grid, and the width and height around (0, 0) that they divide.
     """
@@ -97,37 +97,32 @@ class ThinPlate:
     def __init__(self, places_mm: np.ndarray, size: tuple[int, int], span_mm: tuple[float, float]) -> None:
         from scipy.spatial.distance import cdist
 
-        self._size, n = size, len(places_mm)
+        self._size, angles = size, np.linspace(0, 2 * np.pi, _AT_REST, endpoint=False)
+        half_mm = np.array(span_mm) / 2 + _AT_REST_BEYOND_MM
+        at_rest_mm = half_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        places_mm = np.concatenate([places_mm, at_rest_mm])
         axes = (
             ((np.arange(count) + 0.5) / count - 0.5) * span for count, span in zip(size, span_mm, strict=True)
         )
         grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        distances = cdist(places_mm, places_mm)
+        n = len(places_mm)
         system = np.zeros((n + 3, n + 3))
-        system[:n, :n], system[:n, n:] = _kernel(distances), _linear(places_mm)
+        system[:n, :n], system[:n, n:] = _kernel(cdist(places_mm, places_mm)), _linear(places_mm)
         system[n:, :n] = system[:n, n:].T
         solution = np.linalg.inv(system)[:, :n]
         self._bending = solution[:n]
-        to_grid = cdist(grid, places_mm)
-        self._weights = (np.hstack([_kernel(to_grid), _linear(grid)]) @ solution).astype(np.float32)
-        reach_mm = _KNOWN_WITHIN * np.median(np.sort(distances, axis=1)[:, 1:5].mean(axis=1))
-        self._near = (to_grid < reach_mm).astype(np.float32)
+        self._weights = np.hstack([_kernel(cdist(grid, places_mm)), _linear(grid)]) @ solution
+        self._weights = self._weights.astype(np.float32)
 
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Return (rows, columns, 3) float32 of values (n, 2), NaN where unknown; last, 1 near a known one and else 0.
-
-        Where there is none near, all three are 0.
-        """
-        known = ~np.isnan(values[:, 0])
-        field = np.zeros((len(self._weights), 3), np.float32)
-        if known.sum() >= FEWEST_MARKERS:
-            whole = np.where(known[:, None], values, 0)
-            if not known.all():
-                pull = self._bending[np.ix_(~known, known)] @ whole[known]
-                whole[~known] = np.linalg.solve(self._bending[np.ix_(~known, ~known)], -pull)
-            field[:, 2] = self._near @ known.astype(np.float32) > 0
-            field[:, :2] = (self._weights @ whole.astype(np.float32)) * field[:, 2:]
-        return field.reshape(self._size[1], self._size[0], 3)
+    def __call__(self, displacement_mm: np.ndarray) -> np.ndarray:
+        """Return (rows, columns, 2) float32 of displacements (n, 2), NaN where unknown."""
+        whole = np.concatenate([displacement_mm, np.zeros((_AT_REST, 2))])
+        known = ~np.isnan(whole[:, 0])
+        if not known.all():
+            pull = self._bending[np.ix_(~known, known)] @ whole[known]
+            whole[~known] = np.linalg.solve(self._bending[np.ix_(~known, ~known)], -pull)
+        field = self._weights @ whole.astype(np.float32)
+        return field.reshape(self._size[1], self._size[0], 2)
 
 
 def _kernel(distances: np.ndarray) -> np.ndarray:

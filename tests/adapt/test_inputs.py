@@ -106,7 +106,6 @@ def test_displacement_is_how_far_the_dots_have_moved_in_mm_whatever_their_pitch(
         middle = moved[:, :, 12:-12, 15:-15]
         np.testing.assert_allclose(middle[:, 0].mean(axis=(1, 2)), [0, 0.225, -0.225], atol=0.005)
         np.testing.assert_allclose(middle[:, 1], 0, atol=0.01)
-        assert (middle[:, 2] == 1).all()
     assert "input markers" not in caplog.text
     images[1] = 150
     Displacements(
