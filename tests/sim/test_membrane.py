@@ -69,7 +69,7 @@ def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
         converged=True,
         diagnostics=SolveDiagnostics(),
     )
-    return contact_radius_mm(Solution(problem, rest_mm, (record,)), record)
+    return contact_radius_mm(Solution(problem, (rest_mm,), (record,)), record)
 
 
 def test_a_hertzian_pressure_gives_its_contact_radius() -> None:
