@@ -67,7 +67,9 @@ def expected_iterations(problem: ContactProblem) -> float:
         if sideways_mm > 0:
             iterations += DRAG_ITERATIONS * steps + CELL_ITERATIONS * sideways_mm / problem.cell_mm
         else:
-            iterations += PRESS_ITERATIONS * steps
+            # Vertices that slide over a sharp edge do so one after another.
+            features = abs(change[2]) / steps / problem.indenter.feature_size_mm
+            iterations += PRESS_ITERATIONS * steps * max(1.0, features)
     return float(iterations)
 
 

@@ -18,7 +18,7 @@ from gelgap.sim.solution import Record, Solution
 
 # A drag is solved up to at least this many times the travel at which a paraboloid's contact has slipped wholly, and
 # looked at some way before that as well.
-_TRAVELS_TO_SLIP = 1.3
+_TRAVELS_TO_SLIP = 1.6
 _EARLIER_SHARE = 0.75
 # A drag is straight if no waypoint is further than this share of its way from the line.
 _STRAIGHT_SHARE = 1e-4
