@@ -134,9 +134,12 @@ class StaticNewton:
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
+                held = self.active.any()
                 converged = self._advance(start + change * share, passes=share < 1)
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
+                if held and not converged and not self.active.any():
+                    break  # From a state that has lost the gel no step leads back.
             records.append(self._polished_record(converged))
             done += steps
             if index in problem.parents[index + 2 :]:
@@ -149,14 +152,11 @@ class StaticNewton:
         The indenter `passes` the command, or it is a waypoint.
         """
         start, middle = self.state(), 0.5 * (self.command + command)
-        # A step of a small body's size can throw the gel off its edges, though it does not go up.
-        held = self.active.any() and command[2] <= self.command[2]
         converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP, passes=passes)
-        lost = held and not self.active.any()
         # What runs away in halves as well is not a matter of their length.
         ran_away &= halvings == _MOST_HALVINGS
-        if (converged and not ran_away and not lost) or halvings == 0:
-            return converged and not lost
+        if (converged and not ran_away) or halvings == 0:
+            return converged
         self.return_to(start)
         self._advance(middle, passes=True, halvings=halvings - 1)
         return self._advance(command, passes=passes, halvings=halvings - 1)
@@ -184,6 +184,8 @@ class StaticNewton:
         increment_mm, kept_tangent, active = np.inf, False, self.active
         patience = spare = 0
         correction = np.zeros_like(data.qpos)
+        # A step of a small body's size can throw the gel off its edges, though it does not go up.
+        held = start.active.any() and command[2] <= start.command[2]
         largest_excess = _PASSED_COULOMB_EXCESS if passes else _CONVERGED_COULOMB_EXCESS
         motion: tuple[Any, ...] = (displacement_mm if self._rigid else 0.0, turn)
         for iteration in range(most_iterations):
@@ -199,7 +201,8 @@ class StaticNewton:
                 self.contacts.forget_landing()
                 gap_mm = self.iterate()
             active = self.active
-            if not np.all(np.isfinite(data.qpos)):
+            lost = held and not active.any()
+            if lost or not np.all(np.isfinite(data.qpos)):
                 return False, False
             last_mm, increment_mm = increment_mm, float(np.linalg.norm(data.qvel))
             fast = increment_mm <= _KEPT_TANGENT_RATIO * last_mm
