@@ -12,7 +12,7 @@ from scipy import sparse
 
 from gelgap.sim.mesh import mesh_for, touchable, unordered_mesh
 from gelgap.sim.problem import QUALITIES, ContactProblem
-from gelgap.sim.steady import steady_slide
+from gelgap.sim.steady import solved_problems
 
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
 BUILD_S, BUILD_POWER = 0.048, 1.6
@@ -44,12 +44,14 @@ class Work(NamedTuple):
         return BUILD_S * self.thousands**BUILD_POWER + self.iterations * iteration_s
 
 
+def expected_core_s(problem: ContactProblem) -> float:
+    """Return about how many seconds of a core a problem takes."""
+    return sum(expected_work(own).core_s for own in solved_problems(problem))
+
+
 @lru_cache(maxsize=32)
 def expected_work(problem: ContactProblem) -> Work:
-    """Return what the solve of a problem will consist of."""
-    slide = steady_slide(problem)
-    if slide is not None:
-        problem = slide.solved
+    """Return what the solve of a problem will consist of, if all of its slides are solved to their ends."""
     thousands = len(unordered_mesh(problem).vertices_mm) / 1000
     gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(problem)
     return Work(thousands, gflop, expected_iterations(problem))
@@ -65,7 +67,9 @@ def expected_iterations(problem: ContactProblem) -> float:
         if sideways_mm > 0:
             iterations += DRAG_ITERATIONS * steps + CELL_ITERATIONS * sideways_mm / problem.cell_mm
         else:
-            iterations += PRESS_ITERATIONS * steps
+            # Vertices that slide over a sharp edge do so one after another.
+            features = abs(change[2]) / steps / problem.indenter.feature_size_mm
+            iterations += PRESS_ITERATIONS * steps * max(1.0, features)
     return float(iterations)
 
 
@@ -112,10 +116,10 @@ def cheaper(problem: ContactProblem) -> dict[str, float]:
             except ValueError:
                 continue
             changed[f"twice the {name} ({2 * size_mm:.3g} mm)"] = replace(problem, indenter=body)
-    now_s, needed_s = expected_work(problem).core_s, {}
+    now_s, needed_s = expected_core_s(problem), {}
     for change, other in changed.items():
         try:
-            needed_s[change] = expected_work(other).core_s
+            needed_s[change] = expected_core_s(other)
         except ValueError:  # A body that touches with all of its face from some depth on, say.
             continue
     helping = {change: s for change, s in needed_s.items() if s <= _WORTHWHILE_SHARE * now_s}
@@ -124,7 +128,7 @@ def cheaper(problem: ContactProblem) -> dict[str, float]:
 
 def forecast(problem: ContactProblem) -> str:
     """Say what a solve takes; of a dear one also what would make it cheaper."""
-    needed_s = expected_work(problem).core_s
+    needed_s = expected_core_s(problem)
     said = f"about {needed_s:.0f} s of a core to solve at {problem.quality.name}"
     if needed_s <= DEAR_S[problem.quality.name]:
         return said

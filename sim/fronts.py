@@ -332,6 +332,14 @@ def _update(plan: _Plan, updates: Floats, front: int) -> tuple[Floats, NDArray[n
 
 
 @njit(cache=True)
+def _eliminated(plan: _Plan, factor: Floats, front: int) -> tuple[Floats, Floats, Ints, Ints]:
+    """Return where a front's own columns of the factor begin, what is below them, and where both stand in A."""
+    own = factor[plan.begin[front] :]
+    below = own[plan.own[front] * plan.own[front] :]
+    return own, below, plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
+
+
+@njit(cache=True)
 def _substitute(plan: _Plan, factor: Floats, right_side: Floats, routines: tuple) -> None:
     """Eliminate the dofs of all fronts but the last from a right side (n,), in place."""
     dgemv, dtrsv = routines
@@ -340,11 +348,8 @@ def _substitute(plan: _Plan, factor: Floats, right_side: Floats, routines: tuple
     sizes = np.zeros(2, np.int32)
     c, r = sizes[:1].ctypes, sizes[1:].ctypes
     for front in range(len(plan.own) - 1):
-        size, rows = plan.own[front], plan.below[front]
-        sizes[0], sizes[1] = size, rows
-        own = factor[plan.begin[front] :]
-        below = own[size * size :]
-        own_dofs, row_dofs = plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
+        sizes[0], sizes[1] = size, rows = plan.own[front], plan.below[front]
+        own, below, own_dofs, row_dofs = _eliminated(plan, factor, front)
         left, passed = np.empty(size), np.empty(rows)
         for k in range(size):
             left[k] = right_side[own_dofs[k]]
@@ -369,11 +374,8 @@ def _substitute_back(
     sizes = np.zeros(2, np.int32)
     c, r = sizes[:1].ctypes, sizes[1:].ctypes
     for front in range(len(plan.own) - 2, -1, -1):
-        size, rows = plan.own[front], plan.below[front]
-        sizes[0], sizes[1] = size, rows
-        own = factor[plan.begin[front] :]
-        below = own[size * size :]
-        own_dofs, row_dofs = plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
+        sizes[0], sizes[1] = size, rows = plan.own[front], plan.below[front]
+        own, below, own_dofs, row_dofs = _eliminated(plan, factor, front)
         known, left = np.empty(rows), np.empty(size)
         for k in range(rows):
             known[k] = solution[row_dofs[k]]

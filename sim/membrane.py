@@ -372,7 +372,7 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     from scipy.spatial import Delaunay
 
     # Vertices in the plane of symmetry carry the force of one half, so that areas are those of this half as well.
-    rest = solution.rest_mm + record.moved_mm
+    rest = solution.rest_of(record)
     triangulation = Delaunay(rest)
     corners = triangulation.simplices
     position = np.concatenate([rest, np.zeros((len(rest), 1))], axis=1) + record.displacement_mm

@@ -106,14 +106,14 @@ class DiscGrid:
 
 
 # The forecast of what a solve takes counts on the mesh that the solve then has: 0.15 of 2.3 s of a box at `draft`.
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched, at the spacing that the largest contact needs."""
     mesh = unordered_mesh(problem)
     return ordered_for_elimination(mesh, touchable(mesh, problem))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness = problem.mesh_size, problem.thickness_mm

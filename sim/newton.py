@@ -1,6 +1,5 @@
 """Quasi-static solution of a contact problem: load steps, each solved by Newton iterations, which are MuJoCo steps."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +19,10 @@ from gelgap.sim.steady import solve_steadily
 
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)
-# A load step that takes longer, or in which a vertex runs away, is undone and repeated in two halves; a half is left as
-# it is after its number of iterations.
-_ITERATIONS_PER_STEP = 30
-_ITERATIONS_PER_HALF_STEP = 60
+# A load step that takes longer, loses the gel, or in which vertices run away, is undone and repeated in two halves, and
+# these in halves if they fail as well.
+_ITERATIONS_PER_STEP = 60
+_MOST_HALVINGS = 2
 # Vertices that carry force in equilibrium lie on the indenter to this distance.
 _LARGEST_GAP_MM = 2e-3
 # The tangent of an earlier iteration serves while each increment is at most this share of the one before: an iteration
@@ -33,14 +32,20 @@ _KEPT_TANGENT_RATIO = 0.7
 _KEPT_TANGENT_TOLERANCE = 0.2
 # An increment by a kept tangent that is longer than this many times the one before is undone, and found anew.
 _LARGEST_KEPT_RATIO = 1.0
-# MuJoCo's contact forces of a converged step exceed Coulomb's bound by no more than this share of it.
-_CONVERGED_COULOMB_EXCESS = 5e-4
+# Where a new tangent shortens the increment no more than that, friction is what settles slowly: the next slow
+# increments are then taken with it, twice as many each time, each up to this many times as long as the one before. With
+# that and acceleration a drag near full slip takes a third of the factorisations.
+_MOST_PATIENCE, _LARGEST_PATIENT_RATIO = 8, 2.0
+# MuJoCo's contact forces of a converged step exceed Coulomb's bound by no more than this share of it, at a waypoint and
+# on the way there.
+_CONVERGED_COULOMB_EXCESS, _PASSED_COULOMB_EXCESS = 5e-4, 5e-3
 # Extrapolation moves no vertex further at a time than this share of the indenter's feature size, so that one that
 # slowly slides off the indenter stays near it.
 _EXTRAPOLATION_SHARE = 0.02
 # A vertex runs away if it slides this many times as far as the indenter moves in a load step: near the limit of
-# friction too long a step ends on another equilibrium than shorter ones agree on.
-_RUNAWAY_RATIO = 1.6
+# friction too long a step ends on another equilibrium than shorter ones agree on. It matters with this share of the
+# load.
+_RUNAWAY_RATIO, _RUNAWAY_LOAD_SHARE = 1.6, 0.05
 # If vertices with this share of the load run away all the same, the contact has snapped: where it comes to rest is
 # dynamics, which statics does not determine.
 _SNAPPED_LOAD_SHARE = 0.25
@@ -52,16 +57,8 @@ _LARGEST_ERROR = 1e-2
 _LARGEST_COULOMB_EXCESS = 1e-3
 _POLISHING_ITERATIONS = 40
 
-# Two increments belong to a geometric series if the cosine of the angle between them is at least the first of these
-# numbers, and the second increment is at least the second number times as long as the first.
-_PARALLEL_COSINE = 0.9
-_SMALLEST_RATIO = 0.3
-# Increments of the considered dofs that are a smaller share of the whole say nothing.
-_SMALLEST_SHARE = 1e-2
-# Above this ratio of two increments the series' end is too uncertain: it is extrapolated as far as is allowed.
-_LARGEST_RATIO = 0.95
-# This many extrapolations need a series of one pair of increments; each further one needs two pairs more.
-_QUICK_EXTRAPOLATIONS = 2
+# How many increments acceleration remembers, and which of their combinations are noise.
+_REMEMBERED, _SMALLEST_SINGULAR_VALUE = 5, 1e-6
 
 
 def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
@@ -72,7 +69,7 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condense
     # Several threads would wait for one another at hundreds of small matrices.
     with threadpool_limits(limits=1, user_api="blas"):
         return solve_steadily(
-            problem, lambda own: StaticNewton(own, condensed=condensed).follow_waypoints(progress)
+            problem, lambda own, told: StaticNewton(own, condensed=condensed).follow_waypoints(told), progress
         )
 
 
@@ -137,33 +134,37 @@ class StaticNewton:
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
-                converged = self._advance(start + change * share)
+                held = self.active.any()
+                converged = self._advance(start + change * share, passes=share < 1)
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
+                if held and not converged and not self.active.any():
+                    break  # From a state that has lost the gel no step leads back.
             records.append(self._polished_record(converged))
             done += steps
             if index in problem.parents[index + 2 :]:
                 states[index] = self.state()
-        return Solution(problem, mesh.vertices_mm[mesh.surface, :2], tuple(records))
+        return Solution(problem, (mesh.vertices_mm[mesh.surface, :2],), tuple(records))
 
-    def _advance(self, command: Floats) -> bool:
-        """Take a load step, in halves if need be, and return whether it converged."""
+    def _advance(self, command: Floats, *, passes: bool, halvings: int = _MOST_HALVINGS) -> bool:
+        """Take a load step, in halves if need be, and return whether it converged.
+
+        The indenter `passes` the command, or it is a waypoint.
+        """
         start, middle = self.state(), 0.5 * (self.command + command)
-        # A step of a small body's size can throw the gel off its edges, though it does not go up.
-        held = self.active.any() and command[2] <= self.command[2]
-        converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP)
-        lost = held and not self.active.any()
-        if converged and not ran_away and not lost:
-            return True
+        converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP, passes=passes)
+        # What runs away in halves as well is not a matter of their length.
+        ran_away &= halvings == _MOST_HALVINGS
+        if (converged and not ran_away) or halvings == 0:
+            return converged
         self.return_to(start)
-        self.load_step(middle, _ITERATIONS_PER_HALF_STEP)
-        converged, _ = self.load_step(command, _ITERATIONS_PER_HALF_STEP)
-        return converged
+        self._advance(middle, passes=True, halvings=halvings - 1)
+        return self._advance(command, passes=passes, halvings=halvings - 1)
 
-    def load_step(self, command: Floats, most_iterations: int) -> tuple[bool, bool]:
+    def load_step(self, command: Floats, most_iterations: int, *, passes: bool = False) -> tuple[bool, bool]:
         """Move the drive to a command (6,) and iterate to equilibrium, or until the iterations are spent.
 
-        Returns whether it converged, and whether a loaded node ran away.
+        Where it `passes` friction need not be as exact. Returns whether it converged, and whether nodes ran away.
         """
         data, quality = self.data, self.problem.quality
         start = self.state()
@@ -179,26 +180,38 @@ class StaticNewton:
         if not self._rigid:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
         self.contacts.begin_load_step(self.slip_mm)
-        force, series, converged = np.full(3, np.inf), GeometricSeries(), False
+        force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
         increment_mm, kept_tangent, active = np.inf, False, self.active
+        patience = spare = 0
+        correction = np.zeros_like(data.qpos)
+        # A step of a small body's size can throw the gel off its edges, though it does not go up.
+        held = start.active.any() and command[2] <= start.command[2]
+        largest_excess = _PASSED_COULOMB_EXCESS if passes else _CONVERGED_COULOMB_EXCESS
         motion: tuple[Any, ...] = (displacement_mm if self._rigid else 0.0, turn)
         for iteration in range(most_iterations):
             if iteration > 0:
-                active_dofs = self.gel.dofs(np.flatnonzero(self.active))
-                data.qpos[:] += series.remainder(data.qvel, active_dofs, furthest_mm) * data.qvel
+                data.qpos[:] += correction
             before = np.array(data.qpos)
             gap_mm = self.iterate(*motion, kept_tangent=kept_tangent)
             motion = ()
-            if not self._accepted and not np.linalg.norm(data.qvel) <= _LARGEST_KEPT_RATIO * increment_mm:
+            largest_mm = (_LARGEST_PATIENT_RATIO if spare else _LARGEST_KEPT_RATIO) * increment_mm
+            if not self._accepted and not np.linalg.norm(data.qvel) <= largest_mm:
                 data.qpos[:] = before
                 self.active = active
                 self.contacts.forget_landing()
                 gap_mm = self.iterate()
             active = self.active
-            if not np.all(np.isfinite(data.qpos)):
+            lost = held and not active.any()
+            if lost or not np.all(np.isfinite(data.qpos)):
                 return False, False
             last_mm, increment_mm = increment_mm, float(np.linalg.norm(data.qvel))
-            kept_tangent = increment_mm <= _KEPT_TANGENT_RATIO * last_mm
+            fast = increment_mm <= _KEPT_TANGENT_RATIO * last_mm
+            if self._accepted:
+                patience = 0 if fast else min(max(2, 2 * patience), _MOST_PATIENCE)
+                spare = patience
+            elif not fast:
+                spare = max(0, spare - 1)
+            kept_tangent = fast or spare > 0
             last_force, force = force, self.indenter_force_n
             nearness = tolerance if self._accepted else _KEPT_TANGENT_TOLERANCE * tolerance
             change = np.linalg.norm(force - last_force)
@@ -207,10 +220,13 @@ class StaticNewton:
                 and change <= nearness * np.linalg.norm(force)
                 and gap_mm <= _LARGEST_GAP_MM
                 and self.contacts.at_rest()
-                and self.contacts.coulomb_excess() <= _CONVERGED_COULOMB_EXCESS
+                and self.contacts.coulomb_excess() <= largest_excess
             )
             if converged:
                 break
+            # The first increment is the load step's own.
+            if iteration > 0:
+                correction = acceleration.correction(data.qpos, data.qvel, furthest_mm)
         return converged, self._add_slip(start, moved_mm, turn)
 
     def iterate(
@@ -312,7 +328,7 @@ class StaticNewton:
         mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
 
     def _add_slip(self, start: State, moved_mm: float, turn: Floats | None) -> bool:
-        """Add what nodes that stayed in touch slid in the load step; return whether a loaded one ran away."""
+        """Add what nodes that stayed in touch slid in the load step; return whether loaded ones ran away."""
         nodes, load = self.contacts.nodes, self.contacts.normal_force_n
         slid = np.zeros(self.data.nefc)
         if len(nodes):
@@ -326,8 +342,9 @@ class StaticNewton:
         total_mm[nodes] += slip_mm
         self.slip_mm = np.where(self.active, total_mm, 0.0)
         away = slip_mm > _RUNAWAY_RATIO * moved_mm
-        self.snapped |= bool(load[away].sum() > _SNAPPED_LOAD_SHARE * load.sum())
-        return bool(away[self.contacts.loaded].any())
+        away_share = load[away].sum() / max(load.sum(), 1e-300)
+        self.snapped |= bool(away_share > _SNAPPED_LOAD_SHARE)
+        return bool(away_share > _RUNAWAY_LOAD_SHARE)
 
     def state(self) -> State:
         """Return the present state, to come back to."""
@@ -411,35 +428,29 @@ class StaticNewton:
         )
 
 
-class GeometricSeries:
-    """Aitken's extrapolation of an iteration whose increments shrink in a geometric series, since the last one."""
+class AndersonAcceleration:
+    """Anderson's acceleration of an iteration x → x + f(x): the next x is where f is least by its last values.
+
+    (Walker & Ni 2011, SIAM J. Numer. Anal. 49:1715). Friction alone settles by some 0.85 an iteration.
+    """
 
     def __init__(self) -> None:
-        self._last: Floats | None = None
-        self._pairs = -1
-        self._extrapolations = 0
+        self._places: list[Floats] = []
+        self._increments: list[Floats] = []
 
-    def remainder(self, increment: Floats, dofs: NDArray[np.int64], furthest: float) -> float:
-        """Add an increment (n,); return the sum of those still to come as a multiple of it, 0 while that is not clear.
+    def correction(self, place: Floats, increment: Floats, furthest: float) -> Floats:
+        """Add an increment f (n,) and where it has led (n,); return what to add to that, up to `furthest` each.
 
-        Only `dofs` are considered, and nothing is moved further than `furthest`. The first increment after an
-        extrapolation is a response to the jump and belongs to no series. Where extrapolations make an iteration go in
-        circles, it needs time to settle by itself, so later extrapolations wait for longer series.
+        A longer increment than the last one shows that the iteration has changed, or leads away from where it was.
         """
-        last, self._last = self._last, np.array(increment)
-        if last is None:
-            return 0.0
-        largest, size = float(np.abs(increment).max()), float(np.linalg.norm(increment))
-        last, increment = last[dofs], increment[dofs]
-        product = float(last @ increment)
-        ratio = product / max(float(last @ last), 1e-300)
-        parallel = product >= _PARALLEL_COSINE * float(np.linalg.norm(last) * np.linalg.norm(increment))
-        # Nodes that stick move by rounding errors alone.
-        parallel &= float(np.linalg.norm(increment)) > _SMALLEST_SHARE * size
-        self._pairs = self._pairs + 1 if parallel and ratio >= _SMALLEST_RATIO else 0
-        if self._pairs < max(1, 2 * (self._extrapolations - _QUICK_EXTRAPOLATIONS)):
-            return 0.0
-        self._last, self._pairs = None, -1
-        self._extrapolations += 1
-        times = ratio / (1 - ratio) if ratio < _LARGEST_RATIO else math.inf
-        return min(times, furthest / largest)
+        if self._increments and np.linalg.norm(increment) > np.linalg.norm(self._increments[-1]):
+            self.__init__()
+        self._places = [*self._places, np.array(place)][-_REMEMBERED:]
+        self._increments = [*self._increments, np.array(increment)][-_REMEMBERED:]
+        # One change alone may be the gel's, which is not linear.
+        if len(self._increments) < 3:
+            return np.zeros_like(increment)
+        changes = np.diff(np.column_stack(self._increments))
+        shares, *_ = np.linalg.lstsq(changes, increment, rcond=_SMALLEST_SINGULAR_VALUE)
+        correction = -np.diff(np.column_stack(self._places)) @ shares
+        return correction * min(1.0, furthest / max(float(np.abs(correction).max()), 1e-300))

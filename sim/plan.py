@@ -80,9 +80,9 @@ class Solve:
     @cached_property
     def expected_core_s(self) -> float:
         """Seconds of a core that the solve takes on a server of 2023; other machines may take twice as long."""
-        from gelgap.sim.cost import expected_work
+        from gelgap.sim.cost import expected_core_s
 
-        return expected_work(self.problem).core_s
+        return expected_core_s(self.problem)
 
     @cached_property
     def forecast(self) -> str:

@@ -23,7 +23,7 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 29
+_METHOD_VERSION = 30
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
 # Cells in a contact that is longer than wide are up to this many times as long as wide.
@@ -32,6 +32,8 @@ _LONGEST_CELL = 2.0
 # is less than these.
 _STEPS_THICKNESS_MM = 3.0
 _PRESS_STEP_RADIUS_MM, _TRAVEL_STEP_RADIUS_MM = 0.2, 0.4
+# No load step goes further down than this many times the size of what the body has of edges or tips.
+_LONGEST_STEP_FEATURES = 1.5
 # The mesh is made for the indenter as it stands this often while it turns.
 _TURN_BETWEEN_STANDS_DEG = 5.0
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
@@ -348,6 +350,7 @@ class ContactProblem:
         travel_mm = math.hypot(x, y) + self.arc_mm(change[3:])
         press_step_mm = self.quality.press_step_mm * self._step_scale(_PRESS_STEP_RADIUS_MM)
         travel_step_mm = self.quality.travel_step_mm * self._step_scale(_TRAVEL_STEP_RADIUS_MM)
+        press_step_mm = min(press_step_mm, _LONGEST_STEP_FEATURES * self.indenter.feature_size_mm)
         steps = max(abs(z) / press_step_mm, travel_mm / travel_step_mm)
         return max(1, math.ceil(steps - 1e-9))
 

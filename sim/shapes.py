@@ -173,7 +173,9 @@ class Ellipsoid(Shape):
         """Newton's method on Eberly's equation, Σ (a p / (t + a²))² = 1, from its left, where it is convex."""
         square = self._half_mm**2
         point = points_mm - [0.0, 0.0, self._half_mm[2]]
-        scaled = self._half_mm * np.maximum(np.abs(point), 1e-9)
+        # In a plane of symmetry a point inside can be as near to both sides; it is to belong to one.
+        point = np.copysign(np.maximum(np.abs(point), 1e-9), point)
+        scaled = self._half_mm * np.abs(point)
         t = (scaled - square).max(axis=1)
         for _ in range(60):
             term = (scaled / (t[:, None] + square)) ** 2

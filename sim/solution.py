@@ -5,8 +5,10 @@ The cache has one file per key, safe for concurrent writers and for a crash.
 
 import io
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +21,12 @@ from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
 
 _SUFFIX = ".solution"
-# A file is NumPy's npz, which holds no code and a CRC-32 of each array: `problem` is the problem as JSON, `rest_mm` and
-# `diagnostics` are the solution's, and these stack the fields of its records.
+# A file is NumPy's npz, which holds no code and a CRC-32 of each array: `problem` is the problem as JSON, `rest_mm` are
+# the vertices of one mesh after another, `vertices` their numbers, and the others the fields of the records: those of
+# vertices one record after another, the rest stacked.
 _PROBLEM = TypeAdapter(ContactProblem)
-_STACKED = (
-    "displacement_mm",
-    "normal_force_n",
-    "indenter_mm",
-    "force_n",
-    "converged",
-    "contact_force_n",
-    "torque_n_mm",
-    "moved_mm",
-    "moved_error",
-)
+_OF_VERTICES = "displacement_mm", "normal_force_n", "contact_force_n"
+_STACKED = "indenter_mm", "force_n", "converged", "torque_n_mm", "mesh", "moved_mm", "moved_error"
 # A vertex sticks if its friction is below this share of Coulomb's bound.
 _STICKING_SHARE = 0.99
 
@@ -69,11 +63,12 @@ def sticks(tangential_n: NDArray, normal_n: NDArray, friction: float | NDArray) 
 class Record:
     """Equilibrium at one waypoint: what the surface, the labels and the diagnostics are made from.
 
-    `displacement_mm` (n, 3) belongs to the solution's surface vertices, `normal_force_n` (n,) is the normal contact
-    force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the indenter's displacement from
-    touching the gel, turned as it is, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the
-    contact point, the origin of the problem's frame. The state of a steady slide is one from earlier on the way, moved
-    by `moved_mm` (2,), vertices and all; its force is off by a share `moved_error` for that.
+    `displacement_mm` (n, 3) belongs to the surface vertices of a `mesh`, which the solution numbers; `normal_force_n`
+    (n,) is the normal contact force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the
+    indenter's displacement from touching the gel, turned as it is, `force_n` (3,) its force on the gel, and
+    `torque_n_mm` (3,) its torque about the contact point, the origin of the problem's frame. The state of a steady
+    slide is one from earlier on the way, moved by `moved_mm` (2,), vertices and all; its force is off by a share
+    `moved_error` for that.
     """
 
     displacement_mm: NDArray[np.float32]
@@ -84,13 +79,14 @@ class Record:
     torque_n_mm: NDArray[np.float64]
     converged: bool
     diagnostics: SolveDiagnostics
+    mesh: int = 0
     moved_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     moved_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The records of a problem's waypoints on the vertices `rest_mm` (n, 2) of the outer membrane.
+    """The records of a problem's waypoints on the outer membrane's vertices, `rest_mm` (n, 2) of each mesh.
 
     A problem has one solution, so two solutions are equal if their problems are.
     """
@@ -98,15 +94,19 @@ class Solution:
     __repr__ = one_line
 
     problem: ContactProblem
-    rest_mm: NDArray[np.float64]
+    rest_mm: tuple[NDArray[np.float64], ...]
     records: tuple[Record, ...]
+
+    def rest_of(self, record: Record) -> NDArray[np.float64]:
+        """Return where a record's vertices (n, 2) are at rest."""
+        return self.rest_mm[record.mesh] + record.moved_mm
 
     def whole_surface(self, record: Record) -> tuple[NDArray[np.float64], ...]:
         """Return (rest_mm, displacement_mm, normal_force_n) of a record, with the mirror image of a symmetric half.
 
         Vertices in the plane of symmetry keep the force on one half.
         """
-        rest, displacement = self.rest_mm + record.moved_mm, record.displacement_mm.astype(float)
+        rest, displacement = self.rest_of(record), record.displacement_mm.astype(float)
         force = record.normal_force_n.astype(float)
         if not self.problem.symmetric:
             return rest, displacement, force
@@ -126,15 +126,20 @@ class Solution:
 
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
-    problem = _PROBLEM.dump_json(solution.problem)
-    stacked = {name: np.stack([getattr(record, name) for record in solution.records]) for name in _STACKED}
-    diagnostics = np.array([astuple(record.diagnostics) for record in solution.records], dtype=np.float64)
+    problem, records = _PROBLEM.dump_json(solution.problem), solution.records
+    of_vertices = {
+        name: np.concatenate([getattr(record, name) for record in records]) for name in _OF_VERTICES
+    }
+    stacked = {name: np.stack([getattr(record, name) for record in records]) for name in _STACKED}
+    diagnostics = np.array([astuple(record.diagnostics) for record in records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
         buffer,
         problem=np.frombuffer(problem, dtype=np.uint8),
-        rest_mm=solution.rest_mm,
+        rest_mm=np.concatenate(solution.rest_mm),
+        vertices=[len(rest_mm) for rest_mm in solution.rest_mm],
         diagnostics=diagnostics,
+        **of_vertices,
         **stacked,
     )
     return buffer.getvalue()
@@ -145,15 +150,18 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     try:
         arrays = read_arrays(data)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
-        records = tuple(_record(arrays, index) for index in range(len(problem.waypoints_mm)))
-        return Solution(problem, arrays["rest_mm"], records)
+        rest_mm = np.split(arrays["rest_mm"], np.cumsum(arrays["vertices"])[:-1])
+        ends = np.cumsum(arrays["vertices"][arrays["mesh"]])[:-1]
+        of_vertices = {name: np.split(arrays[name], ends) for name in _OF_VERTICES}
+        records = tuple(_record(arrays | of_vertices, index) for index in range(len(problem.waypoints_mm)))
+        return Solution(problem, tuple(rest_mm), records)
     except (ValueError, KeyError, IndexError):
         return None
 
 
-def _record(arrays: dict[str, np.ndarray], index: int) -> Record:
-    of_record = {name: arrays[name][index] for name in _STACKED}
-    of_record["converged"] = bool(of_record["converged"])
+def _record(arrays: Mapping[str, Sequence[Any]], index: int) -> Record:
+    of_record = {name: arrays[name][index] for name in (*_OF_VERTICES, *_STACKED)}
+    of_record["converged"], of_record["mesh"] = bool(of_record["converged"]), int(of_record["mesh"])
     kinds = [type(field.default) for field in fields(SolveDiagnostics)]
     values = zip(kinds, arrays["diagnostics"][index], strict=True)
     return Record(**of_record, diagnostics=SolveDiagnostics(*(kind(value) for kind, value in values)))

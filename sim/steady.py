@@ -4,95 +4,139 @@ The mesh and the load steps of a long slide then are those of its beginning. A s
 the depth, takes a quarter of the time.
 """
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gelgap.sim.estimate import LARGEST_ESTIMATE
 from gelgap.sim.indenter import Floats
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.solution import Record, Solution
 
-# A drag is solved up to this many times the travel at which a paraboloid's contact has slipped wholly, and looked at
-# some way before that as well.
-_TRAVELS_TO_SLIP = 1.3
+# A drag is solved up to at least this many times the travel at which a paraboloid's contact has slipped wholly, and
+# looked at some way before that as well.
+_TRAVELS_TO_SLIP = 1.6
 _EARLIER_SHARE = 0.75
 # A drag is straight if no waypoint is further than this share of its way from the line.
 _STRAIGHT_SHARE = 1e-4
 # It is solved to its end if that is no more than this many times as far.
 _SHORTENED_RATIO = 1.25
-# A slide is steady if no more of its load than the first of these shares sticks, and if its force changed by no more
-# than the second between the two looks.
+# A slide is steady if no more of its load than this share sticks, and if its force changed by no more than
+# `_LARGEST_CHANGE` between the two looks, as a share of what a quality promises. The pad's edges may change it by as
+# much between where a slide is solved and where its state is moved to; one that they change more is solved where it
+# ends.
 _STICKING_SHARE = 0.02
-_LARGEST_CHANGE = 0.01
-# What the pad's edges may change of the force on the way, as a share of what a quality promises.
-_LARGEST_OF_EDGES = 0.5
+_LARGEST_CHANGE = 0.5
 # An edge 2.4 thicknesses ahead of a contact of 0.47 of them in radius changes Fx by this, and half as much with every
 # 0.4 thicknesses (docs/physics.md, Near edges); it is taken to be in proportion to the radius.
 _OF_EDGE, _EDGE_THICKNESSES, _EDGE_RADIUS, _HALVED_BY = 0.019, 2.4, 0.47, 0.4
 
 
 @dataclass(frozen=True)
-class _Moved:
-    """A waypoint beyond what is solved: `moved_mm` (2,) further than a record of the solved problem.
+class _End:
+    """The `record` of a solved problem in which a slide is steady, `place_mm` (2,) from where the whole one begins.
 
     `earlier` is the record some way before that one, −1 where nothing resists the slide.
     """
 
+    problem: int
     record: int
     earlier: int
+    place_mm: Floats
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A waypoint that is `moved_mm` (2,) from a slide's end, between which edges change the force by `of_edges`."""
+
+    end: _End
     moved_mm: Floats
     of_edges: float
 
 
 @dataclass(frozen=True)
 class SteadySlide:
-    """A problem whose slides end where they are steady, and what each waypoint of the `whole` problem is in it."""
+    """A problem whose slides end where they are steady, and what each waypoint of the `whole` problem is in it.
+
+    What `solved` begins with has all waypoints that are not moved, by their numbers; the others, each a slide that ends
+    where the pad's edges are as near as they are to a waypoint, are pressed where they begin.
+    """
 
     whole: ContactProblem
-    solved: ContactProblem
+    solved: tuple[ContactProblem, ...]
     waypoints: tuple[int | _Moved, ...]
 
-    def moved(self, solution: Solution) -> Solution | None:
-        """Return the solution of the whole problem from that of the solved one; None if a slide is not steady."""
+    def moved(self, solutions: Sequence[Solution]) -> Solution | None:
+        """Return the solution of the whole problem from those of the solved ones; None if a slide is not steady."""
         records = []
         for waypoint in self.waypoints:
-            record = solution.records[waypoint if isinstance(waypoint, int) else waypoint.record]
-            if isinstance(waypoint, _Moved):
-                change = 0.0
-                if waypoint.earlier >= 0:
-                    earlier = solution.records[waypoint.earlier]
-                    change = float(
-                        np.linalg.norm(record.force_n - earlier.force_n) / np.linalg.norm(record.force_n)
-                    )
-                    sticks = max(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
-                    if record.converged and (change > _LARGEST_CHANGE or sticks > _STICKING_SHARE):
-                        return None
-                record = _moved_record(record, waypoint.moved_mm, math.hypot(change, waypoint.of_edges))
-            records.append(record)
-        return Solution(self.whole, solution.rest_mm, tuple(records))
+            if isinstance(waypoint, int):
+                records.append(solutions[0].records[waypoint])
+                continue
+            end, change = waypoint.end, 0.0
+            solved = solutions[end.problem].records
+            record = solved[end.record]
+            if end.earlier >= 0:
+                earlier = solved[end.earlier]
+                change = float(
+                    np.linalg.norm(record.force_n - earlier.force_n) / np.linalg.norm(record.force_n)
+                )
+                sticks = max(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
+                if record.converged and (change > _largest_change(self.whole) or sticks > _STICKING_SHARE):
+                    return None
+            shift_mm = end.place_mm + waypoint.moved_mm - record.indenter_mm[:2]
+            record = _moved_record(record, shift_mm, math.hypot(change, waypoint.of_edges))
+            records.append(replace(record, mesh=end.problem))
+        rest_mm = tuple(solution.rest_mm[0] for solution in solutions)
+        return Solution(self.whole, rest_mm, tuple(records))
 
 
-def solve_steadily(problem: ContactProblem, solve: Callable[[ContactProblem], Solution]) -> Solution:
-    """Solve a problem with its slides shortened where they are steady, or as it is where they are not."""
+def solve_steadily(
+    problem: ContactProblem,
+    solve: Callable[[ContactProblem, SolveProgress], Solution],
+    progress: SolveProgress = silent,
+) -> Solution:
+    """Solve a problem with its slides shortened where they are steady, or as it is where they are not.
+
+    A slide that is not steady where it was to be is solved anew, twice as far.
+    """
+    travels = _TRAVELS_TO_SLIP
+    while (slide := steady_slide(problem, travels)) is not None:
+        ends = list(itertools.accumulate((own.load_steps for own in slide.solved), initial=0))
+        solutions = [
+            solve(own, lambda done, _, before=before, total=ends[-1]: progress(before + done, total))
+            for own, before in zip(slide.solved, ends[:-1], strict=True)
+        ]
+        if (moved := slide.moved(solutions)) is not None:
+            return moved
+        travels *= 2
+    return solve(problem, progress)
+
+
+def solved_problems(problem: ContactProblem) -> tuple[ContactProblem, ...]:
+    """Return what is solved for a problem."""
     slide = steady_slide(problem)
-    moved = None if slide is None else slide.moved(solve(slide.solved))
-    return solve(problem) if moved is None else moved
+    return (problem,) if slide is None else slide.solved
 
 
-def steady_slide(problem: ContactProblem) -> SteadySlide | None:
-    """Return how a problem is shortened; None if it has no straight slide that goes on far beyond full slip."""
+def steady_slide(problem: ContactProblem, travels_to_slip: float = _TRAVELS_TO_SLIP) -> SteadySlide | None:
+    """Return how a problem is shortened; None if it has no straight slide that goes on far beyond full slip.
+
+    That is `travels_to_slip` times the travel to it.
+    """
     has_memory = problem.static_friction is not None or problem.mount_stiffness_n_per_mm is not None
     if has_memory or problem.turns_deg or not problem.travel_mm:
         return None
     commands: list[Floats] = []
     parents: list[int] = []
+    others: list[ContactProblem] = []
     waypoints: list[int | _Moved] = []
-    # By the waypoint that a straight slide begins at, and its direction: the record where it ends, an earlier one, and
-    # how far it goes.
-    ends: dict[tuple[int, float, float], tuple[int, int, float]] = {}
+    largest = _largest_change(problem)
+    # By the waypoint that a straight slide begins at, and its direction.
+    ends: dict[tuple[int, float, float], list[_End]] = {}
     lines: dict[int, tuple[int, float, float]] = {}
 
     def add(command: Floats, parent: int) -> int:
@@ -117,7 +161,7 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
             or np.abs(start[:2] - travelled * along).max() > _STRAIGHT_SHARE * travel
         ):
             return None
-        slides_mm = _TRAVELS_TO_SLIP * travel_to_slip_mm(problem, -z)
+        slides_mm = travels_to_slip * travel_to_slip_mm(problem, -z)
         if travel <= _SHORTENED_RATIO * slides_mm:
             waypoints.append(add(np.array([x, y, z]), before))
             continue
@@ -127,26 +171,45 @@ def steady_slide(problem: ContactProblem) -> SteadySlide | None:
         # What goes on from a slide is of its line, whatever the rounding of its direction.
         key = lines[parent] if isinstance(before, _Moved) else (root, *along.round(9).tolist())
         lines[len(waypoints)] = key
-        if key not in ends:
-            # Beyond a waypoint that is solved it is to slide as far as between the two looks.
-            ends_mm = max(slides_mm, min(travel, travelled + (1 - _EARLIER_SHARE) * slides_mm))
+        place_mm, of_line = np.array([x, y]), ends.setdefault(key, [])
+        # Beyond a waypoint that is solved it is to slide as far as between the two looks.
+        first_mm = max(slides_mm, min(travel, travelled + (1 - _EARLIER_SHARE) * slides_mm)) * along
+        if not of_line and _of_edges(problem, first_mm, place_mm) <= largest:
             end, earlier = before, -1
             if slides_mm > 0:
                 earlier = before
                 if travelled < _EARLIER_SHARE * slides_mm:
                     earlier = add(np.array([*_EARLIER_SHARE * slides_mm * along, z]), before)
-                end = add(np.array([*ends_mm * along, z]), earlier)
-            ends[key] = end, earlier, ends_mm
-        end, earlier, ends_mm = ends[key]
-        of_edges = max(_of_edges(problem, share * along) for share in (ends_mm, travel))
-        if of_edges > _LARGEST_OF_EDGES * LARGEST_ESTIMATE[problem.quality.name]:
-            return None
-        waypoints.append(_Moved(end, earlier, (travel - ends_mm) * along, of_edges))
+                end = add(np.array([*first_mm, z]), earlier)
+            of_line.append(_End(0, end, earlier, first_mm))
+        serving = [end for end in of_line if _of_edges(problem, end.place_mm, place_mm) <= largest]
+        if not serving:
+            others.append(_slide_that_ends(problem, place_mm, slides_mm * along, z))
+            last = len(others[-1].parents) - 1
+            serving = [_End(len(others), last, last - 1, place_mm)]
+            of_line += serving
+        end = serving[0]
+        waypoints.append(_Moved(end, place_mm - end.place_mm, _of_edges(problem, end.place_mm, place_mm)))
     if all(isinstance(waypoint, int) for waypoint in waypoints):
         return None
     places = tuple(tuple(float(c) + 0.0 for c in command.round(12)) for command in commands)
-    return SteadySlide(
-        problem, replace(problem, waypoints_mm=places, parents=tuple(parents)), tuple(waypoints)
+    first = replace(problem, waypoints_mm=places, parents=tuple(parents))
+    return SteadySlide(problem, (first, *others), tuple(waypoints))
+
+
+def _slide_that_ends(
+    problem: ContactProblem, place_mm: Floats, slide_mm: Floats, z_mm: float
+) -> ContactProblem:
+    """Return the problem of a slide by (2,) at a height that ends at a place (2,), in the frame where it begins."""
+    shift_mm = place_mm - slide_mm
+    shares = (0.0, _EARLIER_SHARE, 1.0) if slide_mm.any() else (0.0,)
+    places = [(*(share * slide_mm).round(12).tolist(), z_mm) for share in shares]
+    edges_mm = np.array(problem.pad_mm) - np.repeat(shift_mm, 2)
+    return replace(
+        problem,
+        pad_mm=tuple(edges_mm.tolist()),
+        waypoints_mm=tuple(places),
+        parents=tuple(range(-1, len(places) - 1)),
     )
 
 
@@ -164,15 +227,25 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
     return 1.5 * problem.friction * depth_mm * stiffer / (1 + 3 * math.pi / 16 * chi)
 
 
-def _of_edges(problem: ContactProblem, place_mm: Floats) -> float:
-    """Return by what share the pad's edges change the force of a contact at a place (2,)."""
+def _largest_change(problem: ContactProblem) -> float:
+    """Return by what share of its force a slide that counts as steady may be off for one reason."""
+    return _LARGEST_CHANGE * LARGEST_ESTIMATE[problem.quality.name]
+
+
+def _of_edges(problem: ContactProblem, place_mm: Floats, other_mm: Floats) -> float:
+    """Return by what share the pad's edges change the force of a contact between two places (2,)."""
     if problem.pad_mm is None:
         return 0.0
-    x_min, x_max, y_min, y_max = problem.pad_mm
-    x, y = place_mm
-    away = min(x_max - x, x - x_min, y_max - y, y - y_min) / problem.thickness_mm
+    edges_mm, outwards = np.reshape(problem.pad_mm, (2, 2)), np.array([-1.0, 1.0])
+    away_mm = np.stack([outwards * (edges_mm - place[:, None]) for place in (place_mm, other_mm)])
     radius = problem.penetration_radius_mm / problem.thickness_mm
-    return _OF_EDGE * radius / _EDGE_RADIUS * 2 ** ((_EDGE_THICKNESSES - away) / _HALVED_BY)
+    shares = (
+        _OF_EDGE
+        * radius
+        / _EDGE_RADIUS
+        * 2 ** ((_EDGE_THICKNESSES - away_mm / problem.thickness_mm) / _HALVED_BY)
+    )
+    return float(np.abs(shares[1] - shares[0]).sum())
 
 
 def _moved_record(record: Record, moved_mm: Floats, error: float) -> Record:

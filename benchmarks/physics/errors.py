@@ -55,7 +55,7 @@ def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str,
         "|f_t|/μf_n − 1": max(state.diagnostics.coulomb_excess for state in states),
         "core s/pose": solved.core_s / len(states),
         "MiB": solved.peak_mib,
-        "vertices": len(solved.solution.rest_mm),
+        "vertices": sum(map(len, solved.solution.rest_mm)),
         "unconverged": sum(not state.converged for state in states),
         **combined(surfaces),
     }

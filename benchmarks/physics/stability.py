@@ -25,7 +25,7 @@ import pandas as pd
 from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.benchmarks.physics.cases import Case
 from gelgap.sim import Elastomer, Indenter, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
-from gelgap.sim.cost import expected_work
+from gelgap.sim.cost import expected_core_s
 from gelgap.sim.estimate import LARGEST_ESTIMATE
 from gelgap.sim.scene import deepest_mm
 
@@ -181,7 +181,7 @@ def judge(number: int, quality: str) -> Results:
         "status": "flagged" if flagged else "converged",
         "violations": list(violations(case, states)),
         "core_s": time.process_time() - started,
-        "expected_s": expected_work(case.solve.problem).core_s,
+        "expected_s": expected_core_s(case.solve.problem),
         "detail": f"pose {flagged[0]} of {len(states)} did not converge" if flagged else "",
     }
 
@@ -223,9 +223,7 @@ def run(quick: bool, out_dir: Path) -> None:
 
 def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> None:
     """Judge the scenes that `out_dir` does not hold yet; write how to repeat those that failed, and the summary."""
-    expected_s = {
-        number: expected_work(numbered_case(number, quality).solve.problem).core_s for number in numbers
-    }
+    expected_s = {number: expected_core_s(numbered_case(number, quality).solve.problem) for number in numbers}
     verdicts = run_missing(
         judge_apart,
         [{"scene": number, "quality": quality} for number in sorted(numbers, key=expected_s.__getitem__)],

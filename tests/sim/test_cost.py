@@ -3,7 +3,7 @@
 import pytest
 
 from gelgap.sim import Box, Elastomer, Pose, Sphere
-from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_work, forecast
+from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_core_s, expected_work, forecast
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.newton import solve
 from gelgap.sim.plan import plan_visit
@@ -19,9 +19,9 @@ def _problem(pose: Pose, body: Indenter = Sphere(), quality: str = "draft") -> C
 
 
 def test_longer_ways_and_finer_meshes_take_longer() -> None:
-    press = expected_work(_problem(Pose(depth_mm=0.6))).core_s
-    drag = expected_work(_problem(Pose(depth_mm=0.6, shear_x_mm=0.4))).core_s
-    fine = expected_work(_problem(Pose(depth_mm=0.6), quality="standard")).core_s
+    press = expected_core_s(_problem(Pose(depth_mm=0.6)))
+    drag = expected_core_s(_problem(Pose(depth_mm=0.6, shear_x_mm=0.4)))
+    fine = expected_core_s(_problem(Pose(depth_mm=0.6), quality="standard"))
     assert 0 < press < drag
     assert 2 * press < fine
 
@@ -30,7 +30,7 @@ def test_longer_ways_and_finer_meshes_take_longer() -> None:
 def test_the_iterations_of_a_solve_are_foreseen(shear_mm: float) -> None:
     problem = _problem(Pose(depth_mm=0.4, shear_x_mm=shear_mm))
     taken = sum(record.diagnostics.iterations for record in solve(problem).records)
-    assert 1 / 1.6 < expected_work(problem).iterations / taken < 1.6
+    assert 1 / 1.8 < expected_work(problem).iterations / taken < 1.8
 
 
 def test_operations_are_counted_where_a_mesh_is_large_and_agree_with_the_power_law(
@@ -46,9 +46,9 @@ def test_operations_are_counted_where_a_mesh_is_large_and_agree_with_the_power_l
 
 def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
     dear = plan_visit(GEL, Sphere(diameter_mm=2.577), DEAR, "draft").solves[0].problem
-    assert expected_work(dear).core_s > DEAR_S["draft"]
+    assert expected_core_s(dear) > DEAR_S["draft"]
     assert "half the travel" in cheaper(dear)
-    assert all(core_s < expected_work(dear).core_s for core_s in cheaper(dear).values())
+    assert all(core_s < expected_core_s(dear) for core_s in cheaper(dear).values())
     assert "cheaper: " in forecast(dear)
     assert "cheaper" not in forecast(_problem(Pose(depth_mm=0.6)))
     box = _problem(Pose(depth_mm=0.6), Box(yaw_deg=20.0, tilt_deg=(3.0, 2.0)), "standard")

@@ -79,7 +79,7 @@ def _solution(
         converged=True,
         diagnostics=SolveDiagnostics(),
     )
-    return Solution(problem, rest_mm, (record,))
+    return Solution(problem, (rest_mm,), (record,))
 
 
 def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:

@@ -220,3 +220,16 @@ def test_a_turned_body_is_solved_once_and_its_answer_is_turned() -> None:
     long, wide = (np.ptp(np.argwhere(one.contact), axis=0) for one in (one, two))
     assert long[1] > long[0]
     assert wide[0] > wide[1]
+
+
+def test_the_middle_of_an_ellipsoid_is_as_far_from_its_surface_as_points_beside_it() -> None:
+    """The membrane's vertex there was taken for one that a press by half of the height cannot touch."""
+    body = Ellipsoid(diameters_mm=(5.0, 3.0, 2.0))
+    middle, beside = (
+        body.project(
+            np.array([[x, y, 1.0] for x, y in ((0.0, 0.0), (0.5, 0.0), (0.5, 0.2), (0.0, 0.3))]) + off
+        )
+        for off in (0.0, 1e-6)
+    )
+    np.testing.assert_allclose(middle.distance_mm, beside.distance_mm, atol=1e-5)
+    assert middle.distance_mm[0] == pytest.approx(-1.0)

@@ -49,7 +49,7 @@ def solution() -> Solution:
         )
         for converged in (True, False)
     )
-    return Solution(problem, rng.normal(size=(5, 2)), records)
+    return Solution(problem, (rng.normal(size=(5, 2)),), records)
 
 
 def test_every_bit_comes_back(solution: Solution) -> None:
@@ -58,7 +58,7 @@ def test_every_bit_comes_back(solution: Solution) -> None:
     assert loaded.problem == solution.problem
     assert loaded.problem.key == solution.problem.key
     assert type(loaded.problem.indenter) is Sphere
-    assert loaded.rest_mm.tobytes() == solution.rest_mm.tobytes()
+    assert loaded.rest_mm[0].tobytes() == solution.rest_mm[0].tobytes()
     for found, record in zip(loaded.records, solution.records, strict=True):
         for name in (
             "displacement_mm",

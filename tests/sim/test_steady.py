@@ -20,11 +20,33 @@ def test_only_the_beginning_of_a_long_slide_is_solved() -> None:
     problem = problem_of(Pose(0.2), Pose(0.2, 1.0), Pose(0.2, 2.0))
     slide = steady_slide(problem)
     assert slide is not None
-    assert slide.solved.travel_mm < 0.3
+    (solved,) = slide.solved
+    assert solved.travel_mm < 0.3
     press, *moved = slide.waypoints
     assert press == 0
-    ends_mm = [slide.solved.waypoints_mm[own.record][0] + own.moved_mm[0] for own in moved]
+    ends_mm = [solved.waypoints_mm[own.end.record][0] + own.moved_mm[0] for own in moved]
     assert ends_mm == pytest.approx([1.0, 2.0])
+
+
+def test_a_slide_towards_an_edge_is_solved_where_it_ends() -> None:
+    problem = problem_of(Pose(0.2, 1.0, point_x_mm=10.0))
+    slide = steady_slide(problem)
+    assert slide is not None
+    first, last = slide.solved
+    assert first.travel_mm == 0
+    assert last.travel_mm < 0.3
+    press, moved = slide.waypoints
+    assert (press, moved.end.problem, moved.end.record, moved.of_edges) == (
+        0,
+        1,
+        len(last.waypoints_mm) - 1,
+        0,
+    )
+    to_edge_mm = problem.pad_mm[1] - 1.0
+    assert last.pad_mm[1] - last.waypoints_mm[-1][0] == pytest.approx(to_edge_mm)
+    along_the_edge = steady_slide(problem_of(Pose(0.2, 0.0, 1.0, point_x_mm=10.0)))
+    assert along_the_edge is not None
+    assert len(along_the_edge.solved) == 1
 
 
 @pytest.mark.parametrize(
@@ -36,10 +58,9 @@ def test_only_the_beginning_of_a_long_slide_is_solved() -> None:
         problem_of(Pose(0.2), Pose(0.2, 1.0), Pose(0.3, 1.0)),
         problem_of(Pose(0.2), Pose(0.2, 1.0), Pose(0.2, 1.0, 1.0)),
         problem_of(Pose(0.2), Pose(0.2, 1.0), gel=GEL.model_copy(update={"static_friction": 0.4})),
-        problem_of(Pose(0.2, 1.0, point_x_mm=10.0)),
     ],
 )
-def test_what_turns_back_or_has_a_memory_or_nears_an_edge_is_solved_to_its_end(
+def test_what_turns_back_or_has_a_memory_is_solved_to_its_end(
     problem: ContactProblem,
 ) -> None:
     assert steady_slide(problem) is None
