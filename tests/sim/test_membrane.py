@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.membrane import MembraneState, contact_radius_mm, grid_axes
+from gelgap.sim.membrane import MembraneState, grid_axes
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import Elastomer, Scene, Sharing
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 
@@ -65,7 +66,8 @@ def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
         contact_force_n=np.zeros((len(rest_mm), 3), dtype=np.float32),
         indenter_mm=np.array([0.0, 0.0, -0.1]),
         torque_n_mm=np.zeros(3),
-        force_n=np.array([0.0, 0.0, -1.0]),
+        # Dragged, so that the contact counts as no round one.
+        force_n=np.array([0.1, 0.0, -1.0]),
         converged=True,
         diagnostics=SolveDiagnostics(),
     )
