@@ -23,8 +23,8 @@ _GAP_CELLS, _GAP_POWER = (1.25, 2.5), 2 / 3
 _ONE_RING_SHARE = 1e-3
 # Below this a gap is a rounding error.
 _SMALLEST_GAP_MM = 1e-4
-# The membrane leaves the indenter this share of a cell further out than the gaps of its vertices say (presses of sphere,
-# cone and flat end), and a mesh's torque sits as much further in (sticking twists of a sphere on seven meshes).
+# The membrane leaves the indenter this share of a cell further out than the gaps of its vertices say (presses of
+# sphere, cone and flat end), and a mesh's torque sits as much further in (sticking twists of a sphere on seven meshes).
 _BEYOND_GAP_CELLS, _BEYOND_TORQUE_CELLS = 0.10, 0.12
 # The radius over the root mean square of those at which the torque acts: shear of a sticking twist grows as
 # r / sqrt(a² - r²) on a half-space (Reissner & Sagoci 1944), and by finite elements to 1 % on thin pads as well.
