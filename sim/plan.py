@@ -18,12 +18,12 @@ from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
     MembraneState,
-    contact_radius_mm,
     polar_table,
     pressure_table,
 )
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
+from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
 from gelgap.sim.solved import ContactSolve, Placement, SolvedPose

@@ -13,7 +13,6 @@ from gelgap.sim.membrane import (
     MembraneCubic,
     MembraneState,
     PolarTable,
-    contact_radius_mm,
     covered_extent_mm,
     grid_axes,
     is_folded,
@@ -22,6 +21,7 @@ from gelgap.sim.membrane import (
     pressure_table,
     traction_table,
 )
+from gelgap.sim.rim import contact_radius_mm, twist_factor
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.slip import Slip, Stand, slip_between
 from gelgap.sim.solution import Record, Solution
@@ -138,7 +138,9 @@ class ContactSolve:
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
-            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
+            torque_n_mm=placement.frame.torque_on_sensor(
+                record.torque_n_mm * [1, 1, twist_factor(self.solution, record)] * ratio
+            ),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
             diagnostics=diagnose(self.solution, placement.record, radius_mm, ratio, folded=folded),

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 
 from gelgap.sim.indenter import Indenter, Sphere
-from gelgap.sim.membrane import (
-    MembraneCubic,
-    MembraneState,
-    PolarTable,
-    contact_radius_mm,
-    grid_axes,
-    membrane_between,
-)
+from gelgap.sim.membrane import MembraneCubic, MembraneState, PolarTable, grid_axes, membrane_between
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing
 from gelgap.sim.shapes import Box
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
@@ -75,7 +69,8 @@ def _solution(
         contact_force_n=np.zeros((len(rest_mm), 3), dtype=np.float32),
         indenter_mm=np.array([0.0, 0.0, -0.1]),
         torque_n_mm=np.zeros(3),
-        force_n=np.array([0.0, 0.0, -1.0]),
+        # Dragged, so that the contact counts as no round one.
+        force_n=np.array([0.1, 0.0, -1.0]),
         converged=True,
         diagnostics=SolveDiagnostics(),
     )

@@ -1,0 +1,142 @@
+"""Where a contact ends between two vertices of the mesh: its radius, and the torque that goes with it.
+
+A vertex touches the indenter or it does not, so a mesh turns with a contact that is up to a fifth of a cell too wide or
+too narrow, and torque grows with the cube of the radius. The gap beside the contact says where it ends; how the torque
+is spread over the vertices says how wide the mesh takes it to be. Where a twist sticks, this makes errors of a
+sphere's torque at `standard` three times smaller (15.5 to 4.7 % rms), in 1 ms.
+"""
+
+import math
+
+import numpy as np
+
+from gelgap.sim.grading import sizes_along
+from gelgap.sim.indenter import Floats, Sphere
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.solution import Record, Solution
+
+# The edge of the contact, over which the line is fitted, carries these shares of the normal force outside of it.
+_EDGE_SHARES = (0.02, 0.6)
+# Vertices up to this many cells outside of the outermost in contact say where the gap begins, by this power of it; up
+# to the second number where the first has no more than one ring of them, radii that differ by less than a share.
+_GAP_CELLS, _GAP_POWER = (1.25, 2.5), 2 / 3
+_ONE_RING_SHARE = 1e-3
+# Below this a gap is a rounding error.
+_SMALLEST_GAP_MM = 1e-4
+# The membrane leaves the indenter this share of a cell further out than the gaps of its vertices say (presses of
+# sphere, cone and flat end), and a mesh's torque sits as much further in (sticking twists of a sphere on seven meshes).
+_BEYOND_GAP_CELLS, _BEYOND_TORQUE_CELLS = 0.10, 0.12
+# The radius over the root mean square of those at which the torque acts: shear of a sticking twist grows as
+# r / sqrt(a² - r²) on a half-space (Reissner & Sagoci 1944), and by finite elements to 1 % on thin pads as well.
+_RADIUS_OVER_TORQUES = math.sqrt(1.25)
+# Cells this much smaller than the contact's radius leave a torque within 3 %, which the correction would not better.
+_RESOLVED_CELLS = 8.0
+# The mesh takes no contact of a sticking twist to be wider or narrower by more than this.
+_LARGEST_CORRECTION_SHARE = 0.2
+# A contact that was pushed sideways by more than this share of its normal force is not round.
+_LARGEST_SIDEWAYS_SHARE = 1e-2
+
+
+def contact_radius_mm(solution: Solution, record: Record) -> float:
+    """Return the deformed radius at which the contact ends; 0 if fewer than three vertices carry force."""
+    if np.count_nonzero(record.normal_force_n > 0) < 3:
+        return 0.0
+    return _gap_radius_mm(solution, record) or _pressure_radius_mm(solution, record)
+
+
+def twist_factor(solution: Solution, record: Record) -> float:
+    """Return by what a record's torque about the contact's axis is to be multiplied for where the contact ends.
+
+    It is 1 where cells are small beside the contact, half of the load slides, or the contact is not round.
+    """
+    radius_mm = None if solution.problem.symmetric else _gap_radius_mm(solution, record)
+    if radius_mm is None:
+        return 1.0
+    places_mm = solution.rest_of(record) + record.displacement_mm[:, :2] - record.indenter_mm[:2]
+    force_n = record.contact_force_n.astype(float)
+    torques = places_mm[:, 0] * force_n[:, 1] - places_mm[:, 1] * force_n[:, 0]
+    mean_square = float((torques * (places_mm**2).sum(axis=1)).sum() / (torques.sum() or math.inf))
+    cell_mm = _cell_mm(solution.problem, radius_mm)
+    turned_mm = _RADIUS_OVER_TORQUES * math.sqrt(max(mean_square, 0.0)) + _BEYOND_TORQUE_CELLS * cell_mm
+    # Without a twist, torque is noise.
+    if (
+        radius_mm > _RESOLVED_CELLS * cell_mm
+        or abs(turned_mm - radius_mm) > _LARGEST_CORRECTION_SHARE * radius_mm
+    ):
+        return 1.0
+    sticks = max(0.0, 2 * record.diagnostics.sticking_fraction - 1)
+    return (radius_mm / turned_mm) ** (3 * sticks)
+
+
+def _cell_mm(problem: ContactProblem, radius_mm: float) -> float:
+    """Return how wide the mesh's cells are at a radius of a round contact."""
+    if isinstance(problem.indenter, Sphere):
+        return problem.cell_mm
+    return float(sizes_along(problem, 0, problem.cell_mm, (0.0, 0.0)).at(np.array([radius_mm]))[0])
+
+
+def _is_cut_off(solution: Solution, rest_mm: Floats) -> bool:
+    """Return whether vertices in contact are on the pad's edge."""
+    pad_mm = solution.problem.pad_mm
+    return pad_mm is not None and bool((np.abs(rest_mm[:, [0, 0, 1, 1]] - np.array(pad_mm)) < 1e-9).any())
+
+
+def _gap_radius_mm(solution: Solution, record: Record) -> float | None:
+    """Return the contact's radius from the gaps outside of its rim; None if it is not round, or they do not tell.
+
+    Just outside of a smooth contact the gap goes as (r − a)^(3/2), by Hertz up to r = 1.4 a: its power 2/3 is a
+    straight line in r that begins at a.
+    """
+    problem = solution.problem
+    sideways_n = float(np.hypot(*record.force_n[:2]))
+    if not (problem.is_round and problem.indenter.convex) or record.indenter_mm[:2].any():
+        return None
+    if sideways_n > _LARGEST_SIDEWAYS_SHARE * abs(record.force_n[2]):
+        return None
+    rest_mm, displacement_mm, force_n = solution.whole_surface(record)
+    touching = force_n > 0
+    if not touching.any() or _is_cut_off(solution, rest_mm[touching]):
+        return None
+    origin_mm = record.indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
+    from_origin_mm = np.column_stack([rest_mm, np.zeros(len(rest_mm))]) + displacement_mm - origin_mm
+    gap_mm = problem.indenter.project(from_origin_mm).distance_mm
+    distance_mm = np.hypot(*from_origin_mm[:, :2].T)
+    outermost_mm = float(distance_mm[touching].max())
+    cell_mm = _cell_mm(problem, outermost_mm)
+    free = ~touching & (gap_mm > _SMALLEST_GAP_MM)
+    for cells in _GAP_CELLS:
+        beside = free & (distance_mm < outermost_mm + cells * cell_mm)
+        if np.count_nonzero(beside) > 2 and np.ptp(distance_mm[beside]) > _ONE_RING_SHARE * outermost_mm:
+            break
+    else:
+        return None
+    slope, offset = np.polyfit(distance_mm[beside], gap_mm[beside] ** _GAP_POWER, 1)
+    radius_mm = -offset / slope + _BEYOND_GAP_CELLS * cell_mm if slope > 0 else 0.0
+    return float(radius_mm) if abs(radius_mm - outermost_mm) < cell_mm else None
+
+
+def _pressure_radius_mm(solution: Solution, record: Record) -> float:
+    """Return the contact's radius from the normal forces inside of its rim.
+
+    Near the edge of a smooth round contact the pressure goes as √(a² − r²), so the normal force carried outside of
+    radius r goes as (a² − r²)^(3/2): its power 2/3 is a straight line in r² that meets zero at a². Radii count from the
+    centre of the force, and from the indenter's axis where the pad's edge cuts the contact off.
+    """
+    rest, displacement, force = solution.whole_surface(record)
+    loaded = force > 0
+    rest, displacement, force = rest[loaded], displacement[loaded], force[loaded]
+    position = rest + displacement[:, :2]
+    centre = record.indenter_mm[:2] if _is_cut_off(solution, rest) else (force @ position) / force.sum()
+    square = ((position - centre) ** 2).sum(axis=1)
+    inwards = np.argsort(-square)
+    square, force = square[inwards], force[inwards]
+    share_outside = (np.cumsum(force) - 0.5 * force) / force.sum()
+    largest = float(np.sqrt(square.max()))
+    one_radius = 1e-6 * square.max()
+    edge = (share_outside > _EDGE_SHARES[0]) & (share_outside < _EDGE_SHARES[1])
+    if edge.sum() < 3 or np.ptp(square[edge]) < one_radius:
+        edge = share_outside > 0
+    if np.ptp(square[edge]) < one_radius:
+        return largest
+    slope, offset = np.polyfit(square[edge], share_outside[edge] ** (2 / 3), 1)
+    return float(np.sqrt(max(-offset / slope, 0.0))) if slope < 0 else largest

@@ -1,0 +1,81 @@
+"""Where a contact ends: its radius from the gap beside it, and the torque of a twist, beside closed forms."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelgap.sim import Elastomer, Pose, Sharing, Sphere
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.rim import contact_radius_mm, twist_factor
+from gelgap.sim.solution import Record, Solution, SolveDiagnostics
+
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=10.0)
+POSE = Pose(depth_mm=0.2)
+RADIUS_MM = math.sqrt(1.5 * 0.2)
+
+
+def _hertz(
+    end_mm: float = RADIUS_MM, sticking: float = 1.0, twist_deg: float = 1.0
+) -> tuple[Solution, Record]:
+    """Return a sphere's contact by Hertz on a half-space, twisted as Reissner & Sagoci's on a radius `end_mm`."""
+    problem = (
+        plan_visit(
+            GEL, Sphere(), (POSE, replace(POSE, twist_deg=twist_deg)), "standard", Sharing(cache=False)
+        )
+        .solves[0]
+        .problem
+    )
+    axis = np.arange(-1.2, 1.2, 0.02) + 0.007
+    rest = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    ratio = np.hypot(*rest.T) / RADIUS_MM
+    outside = np.maximum(ratio, 1.0)
+    profile = rest**2 @ [1, 1] / (2 * 1.5)
+    lift = (
+        ((2 - outside**2) * np.arcsin(1 / outside) + np.sqrt(outside**2 - 1)) * RADIUS_MM**2 / (1.5 * np.pi)
+    )
+    height = np.where(ratio < 1, profile - 0.2, -lift)
+    # The gap is to the sphere itself, not to its parabola.
+    height += (1.5 - np.sqrt(np.maximum(1.5**2 - rest**2 @ [1, 1], 0.0))) - profile
+    pressure = np.sqrt(np.maximum(1 - ratio**2, 0.0))
+    square = rest**2 @ [1, 1]
+    within = square < end_mm**2
+    shear = np.where(within, 1 / np.sqrt(np.where(within, end_mm**2 - square, 1.0)), 0.0)
+    force = np.column_stack([-rest[:, 1] * shear, rest[:, 0] * shear, -pressure])
+    record = Record(
+        displacement_mm=np.column_stack([np.zeros_like(rest), height]).astype(np.float32),
+        normal_force_n=pressure.astype(np.float32),
+        contact_force_n=force.astype(np.float32),
+        indenter_mm=np.array([0.0, 0.0, -0.2]),
+        force_n=np.array([0.0, 0.0, -pressure.sum()]),
+        torque_n_mm=np.array([0.0, 0.0, 1.0]),
+        converged=True,
+        diagnostics=SolveDiagnostics(sticking_fraction=sticking),
+    )
+    return Solution(problem, rest, (record,)), record
+
+
+def test_the_gap_says_where_a_contact_ends() -> None:
+    solution, record = _hertz()
+    beyond_mm = 0.10 * solution.problem.cell_mm
+    assert contact_radius_mm(solution, record) - beyond_mm == pytest.approx(RADIUS_MM, rel=0.01)
+
+
+def test_a_mesh_that_turns_with_too_wide_a_contact_has_its_torque_reduced() -> None:
+    right, wide = (twist_factor(*_hertz(end_mm)) for end_mm in (RADIUS_MM, 1.05 * RADIUS_MM))
+    assert right == pytest.approx(1.0, abs=0.06)
+    assert wide / right == pytest.approx(1.05**-3, rel=0.02)
+
+
+def test_where_the_contact_slides_torque_is_frictions() -> None:
+    wide_mm = 1.05 * RADIUS_MM
+    factors = [twist_factor(*_hertz(wide_mm, sticking)) for sticking in (1.0, 0.75, 0.5, 0.0)]
+    assert factors[0] < factors[1] < factors[2] == factors[3] == 1.0
+
+
+def test_a_contact_that_was_dragged_is_not_taken_to_be_round() -> None:
+    solution, record = _hertz(1.05 * RADIUS_MM)
+    dragged = replace(record, force_n=np.array([0.1, 0.0, 1.0]) * record.force_n[2])
+    assert twist_factor(solution, dragged) == 1.0
+    assert contact_radius_mm(solution, dragged) == pytest.approx(RADIUS_MM, rel=0.01)
