@@ -36,7 +36,7 @@ def _record(
 
 
 def _solution(problem: ContactProblem, *records: Record) -> Solution:
-    return Solution(problem, np.zeros((1, 2)), records)
+    return Solution(problem, (np.zeros((1, 2)),), records)
 
 
 def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[str, float]:

@@ -53,7 +53,7 @@ def _hertz(
         converged=True,
         diagnostics=SolveDiagnostics(sticking_fraction=sticking),
     )
-    return Solution(problem, rest, (record,)), record
+    return Solution(problem, (rest,), (record,)), record
 
 
 def test_the_gap_says_where_a_contact_ends() -> None:
