@@ -72,9 +72,10 @@ def test_stored_errors_of_all_methods_are_the_published_ones():
         for row in table.cells
     }
     differences = {row[0]: row[2].replace("+0.0000", "0.0000") for row in control.cells}
-    assert len(differences) == 23
-    for method, difference in differences.items():
-        row = cells[method]
+    shown = differences.keys() & set(board.METHODS)
+    assert len(shown) == 12
+    for method in shown:
+        row, difference = cells[method], differences[method]
         assert f"| {row['closed']} | {row['mean, N']} | {difference}" in page
         assert f"| {row['Fz, N']} | {row['shear, N']} |" in page
 
@@ -90,7 +91,7 @@ def test_stored_errors_on_shifted_labels_are_the_published_ones():
         table = tables[title.format(data)]
         # Shifted labels have no upper bound, so that no share of a gap can mislead.
         assert ("closed" in table.columns) == (data == board.DATA)
-        for cells in table.cells:
+        for cells in (cells for cells in table.cells if not cells[0].startswith("label-shift")):
             row = dict(zip(table.columns, cells, strict=True))
             assert f" {row['mean, N']} | {row['Fz, N']} | {row['shear, N']} |" in page
 

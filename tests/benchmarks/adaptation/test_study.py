@@ -81,8 +81,8 @@ def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
     places = tuple(f"{tmp_path / 'own.py'}:{name}" for name in ("Mine", "Other"))
     own = replace(same_data, methods=places, workers=2)
     found = own.run(look_up_method, grid(CASES, own.known_methods(), range(4)), RUNS)
-    assert set(found["method"]) == {"own.Mine", "own.Other"}
-    assert set(found["found"]) == {"Mine", "Other"}
+    assert set(found["method"]) > {"own.Mine", "own.Other"}
+    assert set(found["found"]) > {"Mine", "Other"}
     assert os.getpid() not in set(found["pid"])
     assert found["pid"].nunique() == 2
 
@@ -110,7 +110,7 @@ def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypat
 @pytest.mark.parametrize(
     ("part", "choice", "takes"),
     [
-        ("tuning", {"groups": (GROUPS[0],)}, "it takes --seeds, --methods$"),
+        ("lights", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
         ("groups", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
     ],
 )
