@@ -119,6 +119,25 @@ def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_pa
     assert errors["source-only / like the target's"] == "0.150"
 
 
+def test_an_upper_bound_is_on_the_input_that_it_bounds(tmp_path):
+    group, own = ("wmb0i0", "wmb0i1"), [("wmb0i1", "wmb0i1")] * 2
+    calibrated = inputs_and_lights.changes_of("calibrated")
+    asked = inputs_and_lights.upper_bounds_of(
+        inputs_and_lights.input_grid([group], ["adabn"], [0], ["calibrated"])
+    )
+    assert [(run["source"], run["changes"]) for run in asked] == [("wmb0i1", calibrated)]
+    runs = [record(group, "source-only", 0.4, data=board.DATA)]
+    runs += [record(group, "adabn", 0.3, 0, board.DATA, changes) for changes in (board.BY_POINT, calibrated)]
+    write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, runs)
+    bounds = zip(own, (0.2, 0.1), (board.BY_POINT, calibrated), strict=True)
+    found = [record(pair, "source-only", n, 0, board.DATA, c, r2=(0.95,) * 3) for pair, n, c in bounds]
+    write_runs(tmp_path / groups.RUNS, found)
+    (table, *_) = inputs_and_lights.INPUT_PART.tables(tmp_path)
+    closed = {row[0]: row[1] for row in table.cells}
+    assert closed["adabn / pictures"] == "50 %"
+    assert closed["adabn / calibrated"] == "33 %"
+
+
 def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
     group, calibrated = ("wmb0i0", "wmb0i1"), inputs_and_lights.changes_of("calibrated")
     runs = [record(group, "source-only", 0.3, data=board.DATA)]

@@ -9,6 +9,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -63,6 +64,18 @@ def test_records_of_another_configuration_are_not_gone_on_from(same_data, differ
     write_runs(same_data.out / RUNS, [(run, results | stated | differs)])
     with pytest.raises(ValueError, match=f"is of another {next(iter(differs))} than the same run has now"):
         same_data.run(lambda own, run: pytest.fail("measured"), [run], RUNS)
+
+
+def test_other_pictures_of_the_same_recipe_are_another_configuration(monkeypatch, tmp_path):
+    (run,) = grid(CASES, ["adabn"], [0])
+
+    def configuration(recipe: str, digest: str) -> str:
+        domain = SimpleNamespace(recipe=SimpleNamespace(key=recipe), digest=digest)
+        monkeypatch.setattr(Study, "domains_of", lambda self, run: [domain])
+        return Study(tmp_path, tmp_path, "cpu").stated_of(run)["configuration"]
+
+    assert configuration("r", "d") == configuration("r", "d")
+    assert len({configuration("r", "d"), configuration("r", "e"), configuration("s", "d")}) == 3
 
 
 def test_a_runs_settings_stand_above_the_methods_own(same_data):
