@@ -36,12 +36,11 @@ def grid(
     methods: Iterable[str],
     seeds: Iterable[int],
     changes: board.Changes = board.BY_POINT,
-    settings: Callable[[str], Iterable[board.Changes]] = lambda method: [()],
 ) -> list[Setting]:
     """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
 
     Of a seed, all groups come with the first method before the next one: they train the stages that others share.
-    `changes` are fields of the profile that differ from the preset, `settings` the candidates of a method's own.
+    `changes` are fields of the profile that differ from the preset, `settings` those of a method's own: none.
     """
     cases, methods = list(cases), list(methods)
     return [
@@ -52,11 +51,10 @@ def grid(
             "seed": seed,
             "data": data,
             "changes": changes,
-            "settings": own,
+            "settings": (),
         }
         for seed in seeds
         for method in methods
-        for own in settings(method)
         for data, (source, target) in cases
     ]
 
@@ -159,7 +157,7 @@ class Study:
         from gelgap.adapt import Profile
 
         profile, method = Profile.preset(self.profile), run["method"]
-        own = {**profile.settings.get(method, {}), **dict(run["settings"])}
+        own = profile.settings.get(method)
         return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
 
     def domains_of(self, run: Setting) -> "list[GeneratedDomain]":

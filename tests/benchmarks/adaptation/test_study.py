@@ -78,12 +78,10 @@ def test_other_pictures_of_the_same_recipe_are_another_configuration(monkeypatch
     assert len({configuration("r", "d"), configuration("r", "e"), configuration("s", "d")}) == 3
 
 
-def test_a_runs_settings_stand_above_the_methods_own(same_data):
-    from gelgap.adapt.methods.registry import method_settings
-
-    (run,) = grid(CASES, ["daregram"], [0], (("adapt_epochs", 3),), lambda _: [(("transfer_weight", 0.7),)])
+def test_of_the_settings_of_methods_a_run_has_its_own_alone(same_data):
+    (run,) = grid(CASES, ["daregram"], [0], (("adapt_epochs", 3),))
     profile = same_data.profile_of(run)
-    assert method_settings("daregram", profile).final_weight(profile) == 0.7
+    assert profile.settings == {"daregram": {"transfer_weight": 0.03}}
     assert profile.adapt_epochs == 3
     (plain,) = grid(CASES, ["source-only"], [0])
     assert same_data.profile_of(plain).settings == {}
