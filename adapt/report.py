@@ -67,8 +67,11 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     table = table[[name for name in order if name in known] + [name for name in order if name not in known]]
     unit = shared_unit(runs[0].labels) or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
-    note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
-    return ResultTable.of(f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note)
+    note = "Sorted by error; another seed or processor may well change the order of near ones. "
+    note += f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
+    return ResultTable.of(
+        f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note.strip()
+    )
 
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:

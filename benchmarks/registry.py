@@ -57,11 +57,6 @@ BENCHMARKS = {
     ),
     "throughput": Benchmark("time to generate and to read domains", "throughput:run"),
     "adaptation": Benchmark("all methods of adaptation on all groups", "adaptation.report:run_groups"),
-    "adaptation-tuning": Benchmark(
-        "each method's setting, chosen on groups that are not compared",
-        "adaptation.report:run_tuning",
-        has_quick_form=False,
-    ),
     "adaptation-inputs": Benchmark(
         "what each input is worth, with five methods", "adaptation.report:run_inputs", has_quick_form=False
     ),

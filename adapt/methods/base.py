@@ -118,8 +118,6 @@ class Method(nn.Module):
         Whether target labels reach its loss; then it is no method for domain adaptation.
     needs_stage_1
         Whether it starts from the network that stage 1 trained, or from any.
-    grid
-        The setting by which its strength is tuned and the candidates, rising; None: nothing is tuned.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
@@ -127,10 +125,6 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True
-    grid: ClassVar[tuple[str, tuple[float, ...]] | None] = (
-        "transfer_weight",
-        (0.0, 3e-5, 3e-4, 0.003, 0.03, 0.3, 3.0),
-    )
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()

@@ -16,7 +16,6 @@ class ConstantMean(Method):
 
     uses_target = False
     needs_stage_1 = False
-    grid = None
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Set the head to the source's mean force."""
@@ -31,7 +30,6 @@ class SourceOnly(Method):
     """The network of stage 1 as it is, without adaptation (the paper's "source-only"); it sees no target picture."""
 
     uses_target = False
-    grid = None
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Leave the network as stage 1 left it."""
@@ -43,8 +41,6 @@ class AdaBN(Method):
     Enough where the gap is a change of the features' means and scales.
     """
 
-    grid = None
-
     def adapt(self, adaptation: Adaptation) -> None:
         """Re-estimate the statistics on the unlabelled target pictures."""
         adaptation.estimate_target_statistics()
@@ -52,8 +48,6 @@ class AdaBN(Method):
 
 class NoTransfer(Method):
     """Stage 2 without a transfer loss: as long a training, under the same batch statistics, as the methods have."""
-
-    grid = None
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return source.features.new_zeros(())
@@ -72,7 +66,6 @@ class Supervised(Method):
     """
 
     uses_target_labels = True
-    grid = None
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
         return TransferLoss(functional.mse_loss(target.prediction, target.force), weight=1.0)

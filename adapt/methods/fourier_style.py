@@ -41,8 +41,6 @@ class FourierStyle(NoTransfer):
             description="highest exchanged frequency, over the shorter side's pixels",
         )
 
-    grid = ("share", (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0))
-
     def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
         partner = torch.from_numpy(step.rng.integers(len(target), size=len(inputs))).to(inputs.device)
         chosen = torch.from_numpy(step.rng.random(len(inputs)) < self.settings.share).to(inputs.device)

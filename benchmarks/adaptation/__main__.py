@@ -11,12 +11,13 @@ import tyro
 from gelgap.adapt.inputs import INPUTS
 from gelgap.assets.locks import counted_stops
 from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
+from gelgap.benchmarks.adaptation.leaderboard import SOURCES
 from gelgap.benchmarks.adaptation.report import PARTS, measure
 from gelgap.benchmarks.adaptation.study import BOARD, Study
 
 _BAD_INPUT, _INTERRUPTED = 2, 130
 KNOWN = {f"{source}:{target}": (source, target) for source, target in (*GROUPS, *LIGHT_GROUPS)}
-SHOWN = tuple(name for name, shown in INPUTS.items() if not shown.frozen)
+SHOWN = (*(name for name, shown in INPUTS.items() if not shown.frozen), *SOURCES)
 
 
 def run(
@@ -34,9 +35,9 @@ def run(
     Args:
         part: What is measured.
         seeds: By default the part's own.
-        methods: Names, or your own as module:Class or file.py:Class; by default the part's own.
+        methods: Names, or your own as module:Class or file.py:Class, each with its controls; by default the part's own.
         groups: SOURCE:TARGET; by default the part's own.
-        inputs: What the part `inputs` shows; by default all of them.
+        inputs: What the parts `inputs` (by default all) and `leaderboard` (pictures) show, there also random lights.
         workers: Processes; by default one per core.
         minutes: Begin no run after this time.
         out: Folder of the records, named after the profile; its data lie beside it.

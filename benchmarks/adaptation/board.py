@@ -8,7 +8,6 @@ that a gel takes minutes of a core.
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -79,15 +78,6 @@ BY_ROLE = (DATA, LABEL_SHIFT)
 PAIRED = "paired"
 """The quick form's data set, in which both domains have the same contacts."""
 DATA_SETS = (*BY_ROLE, PAIRED)
-TUNING_DOMAINS = ("mb3i3", "wmb3i3", "wmb4i4")
-"""Gels and lights by which hyperparameters are chosen: no group that is compared has one of them."""
-TUNING_CASES = (
-    ("tune-paired", ("mb3i3", "wmb3i3")),
-    ("tune-paired", ("wmb3i3", "wmb4i4")),
-    ("tune-independent", ("wmb4i4", "mb3i3")),
-    ("tune-independent", ("mb3i3", "wmb4i4")),
-)
-"""Data set and group of each case of a choice: markers, gel and light, all three; half of them with paired contacts."""
 
 
 def contact_path(role: Role) -> "PosePath":
@@ -159,25 +149,3 @@ def with_shifted_labels(target: "LabelledFrames") -> "LabelledFrames":
     deep = target.columns["depth_mm"] > SHALLOW_MM
     kept = np.random.default_rng(len(deep)).random(len(deep)) < DEEP_SHARE
     return target.take(np.flatnonzero(~deep | kept))
-
-
-def tuning_recipes(data: str) -> "tuple[DomainRecipe, ...]":
-    """Return the domains of the tuning groups in one of their data sets."""
-    from gelgap.domains import make_recipes
-
-    if data == "tune-paired":
-        return make_recipes(TUNING_DOMAINS, "cpu", inpainted=("wmb3i3",), quality="standard", seed=0)
-    # Inpainting a domain's pictures would keep its contacts.
-    recipes = make_recipes(
-        TUNING_DOMAINS, "cpu", contacts="independent", inpainted=(), quality="standard", seed=0
-    )
-    return tuple(map(_away_from_edges, recipes))
-
-
-def _away_from_edges(recipe: "DomainRecipe") -> "DomainRecipe":
-    """Return a recipe whose points lie nearer together along y.
-
-    Points that are moved, each in its cell, would else come so near to the pad's edge that each needs its own solve.
-    """
-    path = replace(recipe.path, points_y_mm=tuple(0.8 * y for y in recipe.path.points_y_mm))
-    return recipe.model_copy(update={"path": path})

@@ -46,6 +46,8 @@ RULES = (*BASELINES, SHRUNK)
 """Rows that need no loss: rules without a network, and AdaBN with the source's mean for its shear."""
 VALUES = {"mean": "error_n", "Fz": "MAE z, N", "shear": "shear_n"}
 """What methods are ranked by, each apart: a method that predicts no shear is good at neither by hiding it in a mean."""
+NOISE_N = {"mean": 0.046, "Fz": 0.108, "shear": 0.033}
+"""How far two runs of an adapted network come apart at most, same setting, other machine: docs/results/README.md."""
 FORMATS = {"": "{:.3f}", **dict.fromkeys(R2, "{:.2f}")}
 CAVEAT = (
     "Groups of the same two sensors are not independent cases, so pairs of sensors are drawn, with their groups, "
@@ -87,9 +89,13 @@ def headline_grid(
 
 
 def upper_bounds_of(runs: list[Setting]) -> list[Setting]:
-    """Return the upper bounds of the targets of runs: training on themselves, on the profile's own input."""
-    targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
-    return [run for name, seed in targets for run in grid([(board.DATA, (name, name))], [PLAIN], [seed])]
+    """Return the upper bounds of the targets of runs: training on themselves, on the same input."""
+    targets = dict.fromkeys((run["target"], run["seed"], run["changes"]) for run in runs)
+    return [run for name, *own in targets for run in _upper_bound(name, *own)]
+
+
+def _upper_bound(target: str, seed: int, changes: board.Changes) -> list[Setting]:
+    return grid([(board.DATA, (target, target))], [PLAIN], [seed], changes)
 
 
 def load_headline(folder: Path, data: str = board.DATA) -> pd.DataFrame:
@@ -103,18 +109,24 @@ def load_headline(folder: Path, data: str = board.DATA) -> pd.DataFrame:
     runs = load_runs(folder / RUNS)
     runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT]) & runs["group"].isin(NAMES)]
     for group, own in runs.groupby("group"):
-        if len(own[["profile", "configuration"]].drop_duplicates()) > 1:
-            raise ValueError(
-                f"{folder / RUNS}: the runs of {group}, {data} contacts, are of more than one configuration; only runs "
-                "of one profile and of the same data can be compared"
-            )
+        check_one_configuration(own, f"{folder / RUNS}: the runs of {group}, {data} contacts")
     return runs
 
 
-def load_upper_bounds(folder: Path, data: str = board.DATA) -> pd.DataFrame:
-    """Return a data set's runs of targets that were trained on themselves, by target and seed."""
+def check_one_configuration(runs: pd.DataFrame, what: str) -> None:
+    """Raise a ValueError if runs are not all of one profile and of the same labels and pictures."""
+    if len(runs[["profile", "configuration"]].drop_duplicates()) > 1:
+        raise ValueError(
+            f"{what}, are of more than one configuration; only runs of one profile and of the same data can be compared"
+        )
+
+
+def load_upper_bounds(
+    folder: Path, data: str = board.DATA, changes: board.Changes = board.BY_POINT
+) -> pd.DataFrame:
+    """Return a data set's runs of targets that were trained on themselves, on one input, by target and seed."""
     runs = load_runs(folder / RUNS)
-    runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT])]
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([changes])]
     return runs[runs["source"] == runs["target"]].set_index(["target", "seed"]).sort_index()
 
 
@@ -265,7 +277,7 @@ def closed(runs: pd.DataFrame, upper_bounds: pd.DataFrame, values: str = "error_
 
 
 def summary(runs: pd.DataFrame, upper_bounds: pd.DataFrame) -> pd.DataFrame:
-    """Return each method's gap closed, errors, R² per axis, and rank by mean, Fz and shear."""
+    """Return each method's gap closed, errors, R² per axis, and its rank by mean, Fz and shear."""
     mean_shear = runs["constant_mean_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
     runs = runs.assign(no_shear=(2 * mean_shear + runs["MAE z, N"]) / 3)
     columns = {f"{name}, N": column for name, column in VALUES.items()} | {"no shear, N": "no_shear"}
@@ -278,18 +290,24 @@ def summary(runs: pd.DataFrame, upper_bounds: pd.DataFrame) -> pd.DataFrame:
     for name, column in columns.items():
         frame[name] = means[column]
     frame = frame.join(means[R2])
+    number = len(counted(runs))
     for name, column in VALUES.items():
-        frame[f"rank {name}"] = (
-            of_groups[column].drop(columns=UPPER_BOUND, errors="ignore").rank(axis=1).mean()
-        )
+        own = means[column].drop(UPPER_BOUND, errors="ignore")
+        frame[f"rank {name}"] = ranks(own, NOISE_N[name] / math.sqrt(number or 1))
     return frame.dropna(axis=1, how="all")
 
 
+def ranks(errors: pd.Series, apart_n: float) -> pd.Series:
+    """Return each error's rank, as a range where others are no more than `apart_n` away: 1, 2–4."""
+    own = errors.to_numpy()
+    further = own[:, None] - own > apart_n
+    first, last = 1 + further.sum(axis=1), np.isfinite(own).sum() - further.sum(axis=0)
+    found = [f"{low}" if low == high else f"{low}–{high}" for low, high in zip(first, last, strict=True)]
+    return pd.Series(found, errors.index).where(errors.notna())
+
+
 SUMMARY_FORMATS = (
-    FORMATS
-    | {"interval": "{:.0f}"}
-    | dict.fromkeys(("closed", "closed Fz", "closed shear"), "{:.0f} %")
-    | {f"rank {name}": "{:.1f}" for name in VALUES}
+    FORMATS | {"interval": "{:.0f}"} | dict.fromkeys(("closed", "closed Fz", "closed shear"), "{:.0f} %")
 )
 
 

@@ -68,6 +68,10 @@ def measure_inputs(study: Study) -> None:
     """
     methods = study.known_methods() or METHODS
     runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
+    if lights := [name for name in study.inputs if name not in INPUTS]:
+        raise ValueError(
+            f"--inputs {' '.join(lights)}: random lights are entries of the part `leaderboard` alone"
+        )
     if not runs:
         raise ValueError(
             f"--inputs {' '.join(study.inputs)}: no chosen group has markers on both sides, as in mb0i0:mb0i1"
@@ -100,11 +104,13 @@ def _measure(study: Study, runs: list[Setting], file: str) -> None:
 def input_tables(folder: Path) -> list[ResultTable]:
     """Return what each method closes on each input, by kind of gap; where controls were run, what its loss brings."""
     runs, upper_bounds, tables = load_runs(folder / INPUT_RUNS), load_upper_bounds(folder), []
+    bounds = {name: load_upper_bounds(folder, changes=changes_of(name)) for name in INPUTS}
+    bounds = {name: own if len(own) else upper_bounds for name, own in bounds.items()}
     light = runs["group"].isin([" → ".join(group) for group in board.LIGHT_GROUPS])
     for kind, own in (("only the light", runs[light]), ("other gaps", runs[~light])):
         if len(own):
             shown = _by_input(own)
-            tables.append(_worth(f"What inputs are worth: {kind}", shown, own, upper_bounds))
+            tables.append(_worth(f"What inputs are worth: {kind}", shown, own, bounds))
             tables += [
                 control_table(with_input, f"{name}, {kind}", upper_bounds)
                 for name, with_input in shown.items()
@@ -132,7 +138,8 @@ def light_tables(folder: Path) -> list[ResultTable]:
             anyone = drawn["source"] == board.ANY_LIGHT
             shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
             title = f"Adapt or randomise? {data} contacts"
-            tables.append(_worth(title, shown, adapted, load_upper_bounds(folder, data), note))
+            bounds = dict.fromkeys(shown, load_upper_bounds(folder, data))
+            tables.append(_worth(title, shown, adapted, bounds, note))
     return tables
 
 
@@ -141,20 +148,29 @@ def _by_input(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _worth(
-    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, upper_bounds: pd.DataFrame, note: str = ""
+    title: str,
+    shown: dict[str, pd.DataFrame],
+    runs: pd.DataFrame,
+    upper_bounds: dict[str, pd.DataFrame],
+    note: str = "",
 ) -> ResultTable:
-    """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`."""
+    """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`.
+
+    An upper bound is on the same input, or on pictures where none was trained on it.
+    """
     plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
     found, orders = [], []
     for name, own in shown.items():
         if len(own):
             start = plain[plain["group"].isin(own["group"])]
             if not found:
-                found.append(_summary(start, upper_bounds).drop(own["method"].unique(), errors="ignore"))
+                found.append(
+                    _summary(start, upper_bounds["pictures"]).drop(own["method"].unique(), errors="ignore")
+                )
             renamed = own.assign(method=own["method"] + f" / {name}")
             if order := halves(counted(own)):
                 orders.append(f"On {name}: {order}")
-            rows = _summary(pd.concat([start, renamed]), upper_bounds)
+            rows = _summary(pd.concat([start, renamed]), upper_bounds[name])
             found.append(rows[rows.index.isin(renamed["method"])])
     frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
     groups = ", ".join(sorted(runs["group"].unique()))

@@ -1,244 +1,210 @@
-"""The leaderboard: results of anyone's methods, whose errors are computed anew from the predictions of their runs.
+"""The leaderboard: entries that are trained here, with their controls, and below them predictions that were handed in.
 
-A record is a file of the benchmark's runs with the arrays beside it, named after who did them: `Ada.jsonl` and the
-folder `Ada`. The command opens the board's data, compares configuration and labels, computes every error from the
-predictions, and ranks what agrees. Pictures need not be the same to the byte, which another processor's are not: the
-table says so.
+The places are fixed: two gaps of light, two seeds, contacts that are alike on both sides and contacts that are not.
+An entry is a method on one of the inputs, or on one of the sources in random lights. What others have predicted is
+judged by the same labels, but nobody saw how it was made (noise on the labels would come first), so that it has no
+rank.
 """
 
-import argparse
-import shutil
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable, evaluate_predictions
-from gelgap.adapt.evaluation import evaluate_baselines, evaluate_constant_mean
 from gelgap.assets.names import is_plain_name
-from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks.adaptation import board
-from gelgap.benchmarks.adaptation.board import PLAIN
-from gelgap.benchmarks.adaptation.groups import RULES, SUMMARY_FORMATS, summary, with_rules
-from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Study, grid, with_errors
-from gelgap.benchmarks.common import read_records
+from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN
+from gelgap.benchmarks.adaptation.groups import (
+    RULES,
+    SUMMARY_FORMATS,
+    check_one_configuration,
+    load_upper_bounds,
+    summary,
+    upper_bounds_of,
+    with_rules,
+)
+from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, LIGHT_RUNS, changes_of
+from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs, with_errors
+from gelgap.benchmarks.common import Setting, read_records
 
-OWN = "trained-on-target"
-"""The name of the upper bounds among the methods."""
-_BAD_INPUT = 2
-_PLACE = ["source", "target", "seed"]
-_SETTING = "settings."
-_AGREE_N = 1e-3
-
-
-def write_record(study: Study, folder: Path, who: str) -> None:
-    """Copy the runs of a study and their arrays to a folder of records.
-
-    Raises
-    ------
-    ValueError
-        If `who` is no name of a file, or there are no runs.
-    """
-    runs = study.out / RUNS
-    if not is_plain_name(who):
-        raise ValueError(f"--who {who!r} is no name of a file")
-    if not runs.is_file():
-        raise ValueError(f"{study.out} holds no runs of the adaptation benchmark ({RUNS})")
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(folder / who, ignore_errors=True)
-    shutil.copytree(runs.with_suffix(""), folder / who)
-    shutil.copy(runs, folder / f"{who}.jsonl")
+GROUPS: tuple[board.Group, ...] = (("wmb0i0", "wmb0i1"), ("wmb0i0", "wmb0i2"))
+SEEDS = (0, 1)
+HANDED_IN = "handed-in"
+"""The folder, below the runs, of records that others have sent: `NAME.jsonl` and the arrays in `NAME`."""
+_PLACE = ["target", "seed"]
+SOURCES = {"any-light": lambda target: board.ANY_LIGHT, "like-target": lambda target: board.LIKE + target}
 
 
-def headline_runs(file: Path) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield the compared runs of a record: data set, method and runs, those of the upper bounds as method `OWN`."""
-    runs = read_records(file)
-    if not {*_PLACE, "method", "data", "changes"} <= set(runs):
-        return
-    groups = {*board.GROUPS, *board.LIGHT_GROUPS}
-    groups |= {(target, target) for _, target in groups}
-    places = pd.Series(list(zip(runs["source"], runs["target"], strict=True)), runs.index, dtype=object)
-    runs = runs[
-        places.isin(groups) & runs["data"].isin(board.BY_ROLE) & runs["changes"].isin([board.BY_POINT])
-    ]
-    methods = runs["method"].where(runs["source"] != runs["target"], OWN)
-    for (data, method), own in runs.assign(method=methods).groupby(["data", "method"], sort=False):
-        yield data, method, own
-
-
-def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
-    """Return runs of one method and data set with errors computed from their predictions and the data's labels.
+def entry_grid(methods: tuple[str, ...], inputs: tuple[str, ...]) -> dict[str, list[Setting]]:
+    """Return the runs of methods on inputs or in random lights, by the file of their records.
 
     Raises
     ------
     ValueError
-        If they were made of other data or another profile, or state errors that their predictions do not have; the
-        message says which.
-    KeyError, TypeError, FileNotFoundError
-        If they lack something, or the board's data do.
+        If an input shows markers, which the leaderboard's gaps have not.
     """
-    if runs.duplicated(_PLACE).any():
-        raise ValueError("has a run twice")
+    if "markers" in inputs:
+        raise ValueError("--inputs markers: the leaderboard's sensors have no markers")
+    found: dict[str, list[Setting]] = {}
+    for name, data in product(inputs, board.BY_ROLE):
+        source, changes = SOURCES.get(name), BY_POINT if name in SOURCES else changes_of(name)
+        groups = [(source(target), target) for _, target in GROUPS] if source else GROUPS
+        file = LIGHT_RUNS if source else RUNS if name == "pictures" else INPUT_RUNS
+        runs = grid([(data, group) for group in groups], methods, SEEDS, changes)
+        found[file] = found.get(file, []) + runs
+    return found
+
+
+def measure(study: Study) -> None:
+    """Train what is missing: the methods named with their controls, the baselines on pictures, and upper bounds."""
+    methods, inputs = study.known_methods(), study.inputs or ("pictures",)
+    wanted = entry_grid(methods, inputs)
+    starts = entry_grid((PLAIN, "adabn"), ("pictures",))[RUNS]
+    study.generate_for([*starts, *(run for runs in wanted.values() for run in runs)])
+    for file, runs in ((RUNS, [*upper_bounds_of(starts), *starts]), *wanted.items()):
+        study.run(adapt_run, runs, file)
+
+
+def entries(folder: Path) -> pd.DataFrame:
+    """Return all runs of a folder on the leaderboard's places; a method on another input is `method / input`.
+
+    Raises
+    ------
+    ValueError
+        If the runs of a place on one input are not all of one configuration.
+    """
+    source_of = {target: source for source, target in GROUPS}
+    shown = {changes: name for name, changes in _inputs().items()}
+    found = []
+    for file in (RUNS, INPUT_RUNS, LIGHT_RUNS):
+        runs = load_runs(folder / file)
+        runs = runs[
+            runs["seed"].isin(SEEDS) & runs["data"].isin(board.BY_ROLE) & (runs["settings"].map(len) == 0)
+        ]
+        runs = runs[runs["target"].isin(source_of) & runs["changes"].isin(list(shown))]
+        name, own = runs["changes"].map(shown), runs["target"].map(source_of)
+        for light, source in SOURCES.items():
+            name = name.mask(runs["source"] == runs["target"].map(source), light)
+        for place, own_runs in runs.groupby(["source", "target", "data", name]):
+            check_one_configuration(own_runs, f"{folder / file}: the runs of {' '.join(place)}")
+        runs = runs.assign(method=runs["method"].where(name == "pictures", runs["method"] + " / " + name))
+        found.append(runs[(runs["source"] == own) | name.isin(list(SOURCES))].assign(source=own))
+    return with_errors(pd.concat(found).drop_duplicates(["data", "target", "method", "seed"]))
+
+
+def _inputs() -> dict[str, board.Changes]:
+    from gelgap.adapt.inputs import INPUTS
+
+    return {name: changes_of(name) for name in INPUTS}
+
+
+def handed_in(
+    folder: Path, study: Study, starts: pd.DataFrame
+) -> Iterator[tuple[str, str, pd.DataFrame | str]]:
+    """Yield data set, name and runs of every entry that was handed in; in place of runs why they cannot be judged.
+
+    Errors are computed from the predictions and the labels of the test frames of `starts`, the runs of source-only.
+    """
+    for file in sorted(folder.glob("*.jsonl")):
+        runs = read_records(file)
+        if not {*_PLACE, "method", "data", "predicted_n"} <= set(runs) or not all(
+            map(is_plain_name, runs["method"])
+        ):
+            yield board.DATA, file.stem, "holds no predictions of a method for places of the leaderboard"
+            continue
+        for (data, method), own in runs.groupby(["data", "method"], sort=False):
+            places = starts[starts["data"] == data].set_index(_PLACE)
+            own = own.set_index(_PLACE)
+            own = own[own.index.isin(places.index)]
+            name = f"{method} ({file.stem})"
+            if own.index.duplicated().any():
+                yield data, name, "has a run twice"
+            elif missing := len(places.index.difference(own.index)):
+                yield data, name, f"lacks {missing} of {len(places)} runs"
+            elif len(places):
+                yield data, name, _judged(own, places, study, name)
+
+
+def _judged(own: pd.DataFrame, places: pd.DataFrame, study: Study, name: str) -> pd.DataFrame | str:
     rows = []
-    for run in runs.to_dict("records"):
-        where = f"{run['source']} → {run['target']}, seed {run['seed']}"
-        if not is_plain_name(run["method"]):
-            raise ValueError(f"method = {run['method']!r} is no name")
-        if run["profile"] != study.profile:
-            raise ValueError(f"is of profile {run['profile']}, the board's is {study.profile}")
-        (setting,) = grid([(run["data"], (run["source"], run["target"]))], [PLAIN], [run["seed"]])
-        expected, frames = study.stated_of(setting)["configuration"], study.frames_of(setting)
-        if run["configuration"] != expected:
-            raise ValueError(
-                f"{where}, is of configuration {run['configuration']}, the board's is {expected}"
-            )
-        predicted, test = np.asarray(run["predicted_n"]), frames.target_test
-        constant = evaluate_constant_mean(frames.source_train, test)
-        if not np.allclose(run["constant_mean_n"], constant.mae_n, rtol=0, atol=_AGREE_N):
-            raise ValueError(
-                f"{where}: its frames are others: the source's mean force has a mean MAE of "
-                f"{np.mean(run['constant_mean_n']):.4f} N on them, on the board's {constant.mean_mae_n:.4f} N"
-            )
-        same = all(run[f"frames_sha256.{name}"] == part.digest for name, part in frames.parts.items())
+    for place, start in places.iterrows():
+        test = study.frames_of(dict(zip(_PLACE, place, strict=True)) | dict(start)).target_test
+        predicted = np.asarray(own.loc[place, "predicted_n"])
         if predicted.shape != test.force_n.shape or not np.isfinite(predicted).all():
-            raise ValueError(f"{where}: it has no finite prediction for each of the {len(test)} test frames")
+            return f"has no finite prediction for each of the {len(test)} test frames of {place[0]}, seed {place[1]}"
         found = evaluate_predictions(test.force_n, predicted, test.force_range_n)
-        if not np.allclose(run["mae_n"], found.mae_n, rtol=0, atol=_AGREE_N):
-            raise ValueError(
-                f"{where}: it states a mean MAE of {np.mean(run['mae_n']):.4f} N, its predictions have "
-                f"{found.mean_mae_n:.4f} N"
-            )
-        own = {name.removeprefix(_SETTING): run[name] for name in run if name.startswith(_SETTING)}
-        own = ", ".join(f"{name} = {value}" for name, value in own.items() if pd.notna(value))
-        computed = {"mae_n": found.mae_n, "r2": found.r2, "constant_mean_n": constant.mae_n}
-        if run["method"] in (PLAIN, "adabn"):  # whose rows have the rules that stand beside all methods
-            for rule, error in evaluate_baselines(frames).items():
-                computed |= {f"baselines_mae_n.{rule}": error.mae_n, f"baselines_r2.{rule}": error.r2}
-        shown = {"same_frames": same, "own_settings": own or None, "when": run.get("when")}
-        rows.append(run | computed | shown)
+        known = {"method": name, "mae_n": found.mae_n, "r2": found.r2}
+        rows.append(dict(start) | dict(zip(_PLACE, place, strict=True)) | known)
     return with_errors(pd.DataFrame(rows))
 
 
-def ranked(folder: Path, study: Study) -> tuple[list[ResultTable], dict[str, str]]:
-    """Return the tables of all records that hold, and of the others why they do not, by file and method."""
-    found: dict[tuple[str, str], pd.DataFrame] = {}
-    refused: dict[str, str] = {}
-    for file in sorted(folder.glob("*.jsonl")):
-        compared = list(headline_runs(file))
-        if not compared:
-            refused[file.name] = "holds no run of the groups that are compared"
-        for data, method, runs in compared:
-            name = f"{file.name}: {method} on {data} contacts"
-            try:
-                own = checked(runs, study).assign(name=name, who=file.stem)
-            except KeyError as error:
-                refused[name] = f"lacks {error}"
-                continue
-            except (TypeError, ValueError, FileNotFoundError) as error:
-                refused[name] = " ".join(str(error).split())[:200]
-                continue
-            # A guest may run source-only for some places alone: the fullest record counts.
-            other = found.get((data, method))
-            if other is None or len(own) > len(other):
-                own, found[data, method] = other, own
-            if own is not None:
-                refused[own["name"].iloc[0]] = "another record of it has more runs, or was read first"
-    upper_bounds = found.pop((board.DATA, OWN), pd.DataFrame())
-    own = upper_bounds.set_index(["target", "seed"]).sort_index() if len(upper_bounds) else upper_bounds
-    tables = []
+def tables(folder: Path) -> list[ResultTable]:
+    """Return for each set of contacts the entries that were trained here, and those that were handed in."""
+    runs, own = entries(folder), load_upper_bounds(folder)
+    starts = runs[runs["method"] == PLAIN]
+    given = list(handed_in(folder / HANDED_IN, Study.at(folder), starts))
+    outside = {method.partition(" / ")[0] for method in runs["method"]} - set(board.METHODS)
+    if starts.empty or not (given or outside):
+        return []
+    found = []
     for data in board.BY_ROLE:
-        upper_bound = own if data == board.DATA else own.iloc[:0]  # frames of shifted labels are others
-        plain = found.get((data, PLAIN))
-        if plain is not None and _problem(plain, plain, upper_bound):
-            plain = None
-        kept = []
-        for runs in (runs for (of, _), runs in found.items() if of == data):
-            if problem := _problem(runs, plain, upper_bound):
-                refused[runs["name"].iloc[0]] = problem
-            else:
-                kept.append(runs)
-        if kept:
-            tables.append(leaderboard_table(pd.concat(kept), data, upper_bound))
-    return tables, refused
+        plain = starts[starts["data"] == data]
+        upper_bounds = own if data == board.DATA else own.iloc[:0]  # frames of shifted labels are others
+        of_data = runs[runs["data"] == data]
+        number = of_data["method"].map(of_data["method"].value_counts())
+        whole = of_data[number == len(plain)]
+        unfinished = sorted(set(of_data["method"]) - set(whole["method"]))
+        if len(plain):
+            found.append(_verified(data, whole, upper_bounds, unfinished))
+        if sent := [(name, judged) for of, name, judged in given if of == data]:
+            found.append(_unverified(data, sent, with_rules(plain), upper_bounds))
+    return found
 
 
-def _problem(runs: pd.DataFrame, plain: pd.DataFrame | None, upper_bounds: pd.DataFrame) -> str | None:
-    """Return why runs cannot stand beside source-only's, if they cannot."""
-    if plain is None:
-        return f"there is no record of {PLAIN} that holds, to compare with"
-    places, wanted = (set(map(tuple, one[_PLACE].to_numpy())) for one in (runs, plain))
-    if places != wanted:
-        return f"{len(wanted - places)} runs of the board are missing, {len(places - wanted)} are none of it"
-    if upper_bounds.empty:
-        return None
-    least = upper_bounds["error_n"].reindex(list(zip(runs["target"], runs["seed"], strict=True))).mean()
-    if runs["error_n"].mean() < least:
-        return (
-            f"its error of {runs['error_n'].mean():.4f} N is below {least:.4f} N, the upper bound's: what training on "
-            "the target's own labels gives"
-        )
-    return None
-
-
-def leaderboard_table(runs: pd.DataFrame, data: str, upper_bounds: pd.DataFrame) -> ResultTable:
-    """All methods of a data set by the gap closed, or without upper bounds by their mean error."""
-    frame = summary(with_rules(runs), upper_bounds)
-    by = "closed" if "closed" in frame else "mean, N"
-    frame = frame.sort_values(by, kind="stable", ascending=by == "mean, N")
-    of_method = runs.groupby("method")
-    for column, values in {"settings": "own_settings", "who": "who", "when": "when"}.items():
-        frame[column] = of_method[values].first()
-    starts = runs[runs["method"] == PLAIN].set_index(_PLACE)["stage1_sha256"]
-    same = runs["stage1_sha256"].to_numpy() == starts[pd.MultiIndex.from_frame(runs[_PLACE])].to_numpy()
-    frame["same stage 1"] = pd.Series(same, runs.index).groupby(runs["method"]).all()
-    frame["same frames"] = of_method["same_frames"].all()
-    named = {method: f"**{method}**" for method in frame.index if method not in (*board.METHODS, *RULES)}
-    groups, seeds = runs[["source", "target"]].drop_duplicates(), runs["seed"].nunique()
+def _verified(
+    data: str, runs: pd.DataFrame, upper_bounds: pd.DataFrame, unfinished: list[str]
+) -> ResultTable:
+    frame = _by_gap(summary(with_rules(runs), upper_bounds))
+    frame["when"] = runs.groupby("method")["when"].first()
+    known = [*RULES, *board.METHODS]
+    named = {name: f"**{name}**" for name in frame.index if name.partition(" / ")[0] not in known}
+    left_out = f" Not all runs are finished of {', '.join(unfinished)}." if unfinished else ""
     return ResultTable.of(
-        f"{data.capitalize()} contacts",
+        f"Leaderboard, {data} contacts: trained here",
         frame.rename(index=named),
-        f"{len(groups)} groups, {seeds} seed(s), split by contact point. Errors are computed from each record's "
-        "predictions. Same stage 1: stage 2 began with source-only's weights. Same frames: to the byte; those "
-        "of another processor have the same labels, and pictures that differ in the last bit.",
+        f"{len(GROUPS)} groups, seeds {', '.join(map(str, SEEDS))}, split by contact point. Ranks that two equal runs "
+        f"could exchange are a range. Bold: a method from outside.{left_out}",
         SUMMARY_FORMATS,
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Check the records of a folder by the board's data and write the leaderboard of those that hold.
-
-    With --write, first copy the finished runs of a folder there.
-    """
-    name = "python -m gelgap.benchmarks.adaptation.leaderboard"
-    parser = argparse.ArgumentParser(prog=name, description=main.__doc__)
-    parser.add_argument("records", type=Path, help="folder of the records, a file for each who ran some")
-    runs = Path("benchmark-results/adaptation") / BOARD
-    parser.add_argument(
-        "--runs", type=Path, default=runs, help="folder of runs; the board's data lie beside it"
+def _unverified(
+    data: str,
+    sent: list[tuple[str, pd.DataFrame | str]],
+    starts: pd.DataFrame,
+    upper_bounds: pd.DataFrame,
+) -> ResultTable:
+    judged = [runs for _, runs in sent if isinstance(runs, pd.DataFrame)]
+    frame = pd.DataFrame(index=pd.Index([], name="method"))
+    if judged:
+        frame = summary(pd.concat([starts, *judged]), upper_bounds)
+        frame = _by_gap(frame.drop(index=[*starts["method"].unique()]))
+        frame = frame.drop(columns=[name for name in frame if name.startswith("rank")])
+    refused = "".join(f" {name} {reason}." for name, reason in sent if isinstance(reason, str))
+    return ResultTable.of(
+        f"Leaderboard, {data} contacts: handed in, not verified",
+        frame,
+        f"Errors of predictions that were sent; how they were made was not seen, so that they have no rank.{refused}",
+        SUMMARY_FORMATS,
     )
-    parser.add_argument("--write", action="store_true", help="first copy the runs to the records")
-    parser.add_argument("--who", default="gelgap", help="who ran them")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/leaderboard.md"))
-    chosen = parser.parse_args(arguments)
-    study = Study.at(chosen.runs)
-    if chosen.write:
-        try:
-            write_record(study, chosen.records, chosen.who)
-        except ValueError as error:
-            parser.exit(_BAD_INPUT, f"{error}\n")
-    tables, refused = ranked(chosen.records, study)
-    for record, reason in refused.items():
-        print(f"not ranked: {record} {reason}", file=sys.stderr)
-    if not tables:
-        parser.exit(_BAD_INPUT, f"{chosen.records} holds no record that can be ranked\n")
-    lines = [f"- {record} {reason}" for record, reason in refused.items()]
-    parts = ["# Leaderboard\n", *(table.markdown() for table in tables)]
-    parts += ["## Not ranked\n", "\n".join(lines) + "\n"] if lines else []
-    write_whole(chosen.out, "\n".join(parts).encode())
-    print(f"wrote {chosen.out}")
 
 
-if __name__ == "__main__":
-    main()
+def _by_gap(frame: pd.DataFrame) -> pd.DataFrame:
+    by = "closed" if "closed" in frame else "mean, N"
+    return frame.sort_values(by, kind="stable", ascending=by == "mean, N")
+
+
+PART = Part(measure, tables, chosen=("methods", "inputs"))

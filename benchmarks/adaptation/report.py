@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from gelgap.adapt.result_table import write_pages
-from gelgap.benchmarks.adaptation import groups, inputs_and_lights, tuning
+from gelgap.benchmarks.adaptation import groups, inputs_and_lights, leaderboard
 from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Part, Study, is_benchmark
 
 PARTS: dict[str, Part] = {
-    "tuning": tuning.PART,
     "groups": groups.PART,
     "inputs": inputs_and_lights.INPUT_PART,
     "lights": inputs_and_lights.LIGHT_PART,
+    "leaderboard": leaderboard.PART,
 }
 """In the order of the report."""
 _CHOICES = ("seeds", "methods", "groups", "inputs")
@@ -20,11 +20,6 @@ def run_groups(quick: bool, out_dir: Path) -> None:
     """Compare all methods with the board's profile, or quickly a few with the smoke profile."""
     folder = out_dir / "adaptation" / ("smoke" if quick else BOARD)
     measure("groups", Study.at(folder, workers=1 if quick else None))
-
-
-def run_tuning(quick: bool, out_dir: Path) -> None:
-    """Choose each method's setting; there is no quick form."""
-    measure("tuning", Study.at(out_dir / "adaptation" / BOARD))
 
 
 def run_inputs(quick: bool, out_dir: Path) -> None:

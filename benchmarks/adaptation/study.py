@@ -36,12 +36,11 @@ def grid(
     methods: Iterable[str],
     seeds: Iterable[int],
     changes: board.Changes = board.BY_POINT,
-    settings: Callable[[str], Iterable[board.Changes]] = lambda method: [()],
 ) -> list[Setting]:
     """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
 
     Of a seed, all groups come with the first method before the next one: they train the stages that others share.
-    `changes` are fields of the profile that differ from the preset, `settings` the candidates of a method's own.
+    `changes` are fields of the profile that differ from the preset, `settings` those of a method's own: none.
     """
     cases, methods = list(cases), list(methods)
     return [
@@ -52,11 +51,10 @@ def grid(
             "seed": seed,
             "data": data,
             "changes": changes,
-            "settings": own,
+            "settings": (),
         }
         for seed in seeds
         for method in methods
-        for own in settings(method)
         for data, (source, target) in cases
     ]
 
@@ -91,10 +89,16 @@ class Study:
         return self.profile == "smoke"
 
     def known_methods(self) -> tuple[str, ...]:
-        """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
+        """Return the chosen methods, if any, each after its controls; classes of one's own are known from now on."""
         from gelgap.adapt.methods.registry import use_method
 
-        return tuple(map(use_method, self.methods))
+        found: list[str] = []
+        for method in map(use_method, self.methods):
+            own = [method]
+            while control := control_of(own[0]):
+                own.insert(0, control)
+            found += own
+        return tuple(dict.fromkeys(found))
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set, if there are any."""
@@ -109,8 +113,6 @@ class Study:
     def generate_for(self, runs: Iterable[Setting]) -> None:
         """Generate what is missing of the domains of runs; lights like a target's are drawn by its picture."""
         runs = list(runs)
-        for data in dict.fromkeys(run["data"] for run in runs if run["data"] not in board.BY_ROLE):
-            self.generate(board.tuning_recipes(data), data)
         by_role = [run for run in runs if run["data"] in board.BY_ROLE]
         as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
         drawn = [name for name in as_source if name.startswith(board.RANDOM_LIGHTS)]
@@ -155,7 +157,7 @@ class Study:
         from gelgap.adapt import Profile
 
         profile, method = Profile.preset(self.profile), run["method"]
-        own = {**profile.settings.get(method, {}), **dict(run["settings"])}
+        own = profile.settings.get(method)
         return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
 
     def domains_of(self, run: Setting) -> "list[GeneratedDomain]":
@@ -184,12 +186,19 @@ class Study:
 
     def stated_of(self, run: Setting) -> Results:
         """Return what the record of a run states of its profile and data."""
-        return self.stated(self.profile_of(run), run["method"], *(d.recipe.key for d in self.domains_of(run)))
+        data = [(domain.recipe.key, domain.digest) for domain in self.domains_of(run)]
+        return self.stated(self.profile_of(run), run["method"], *data)
 
     def stated(self, profile: "Profile", method: str, *data: Any) -> Results:
         """Return what a record states of a profile, of a method's settings, and of what says which data are used."""
-        own = profile.settings.get(method, {})
-        return {"profile": self.profile, "configuration": configuration_of(profile, *data), "settings": own}
+        from gelgap.adapt.methods.registry import method_code
+
+        return {
+            "profile": self.profile,
+            "configuration": configuration_of(profile, *data),
+            "settings": profile.settings.get(method, {}),
+            "code_sha256": method_code(method),
+        }
 
     def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
         """Return the first stage of a run, whose checkpoint all methods of a group, split and seed share."""
@@ -209,7 +218,10 @@ def train_once(stage1: "Stage1", method: str) -> float:
 
 
 def configuration_of(profile: "Profile", *data: Any) -> str:
-    """Return a hash of all that methods have in common: a profile without their settings, and what says which data."""
+    """Return a hash of all that methods have in common: a profile without their settings, and recipe and files of data.
+
+    The files hold labels and pictures, so that pictures of another processor are another configuration.
+    """
     common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
     return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
 
@@ -238,7 +250,6 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
     from gelgap.adapt import find_method
-    from gelgap.adapt.methods.registry import method_code
     from gelgap.adapt.runs import Group
 
     frames = study.frames_of(run)
@@ -248,7 +259,6 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     results = {
         "versions": versions_line(),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
-        "code_sha256": method_code(run["method"]),
         "control": control_of(run["method"]),
         "problem": done.problem,
         "mae_n": short(done.target_test.mae_n),

@@ -42,7 +42,7 @@ def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
     [
         (["real"], "--data is missing"),
         (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
-        (["adaptation-tuning", "--quick"], "this benchmark has no quick form"),
+        (["adaptation-lights", "--quick"], "this benchmark has no quick form"),
     ],
 )
 def test_what_a_benchmark_does_not_take_is_refused_before_anything_is_written(

@@ -35,6 +35,7 @@ from gelgap.benchmarks.adaptation.groups import (
     load_upper_bounds,
     method_table,
     p_value,
+    ranks,
     sensor_pair,
     upper_bound_table,
     usable,
@@ -122,7 +123,13 @@ def test_methods_beside_their_controls(tmp_path):
     assert against["dann"]["difference, N"] == "-0.0100"
     assert against["dsan"]["better in"] == "9 of 9"
     assert "no-transfer" not in against  # AdaBN was not run
-    assert [rows[m]["rank mean"] for m in errors] == ["5.0", "4.0", "2.0", "3.0", "1.0"]
+    assert [rows[m]["rank mean"] for m in errors] == ["5", "3–4", "2–3", "2–4", "1"]
+
+
+def test_errors_within_the_noise_of_two_runs_share_their_ranks():
+    errors = pd.Series({"dan": 0.1, "dann": 0.105, "dsan": 0.114, "jan": 0.2, "uga": math.nan})
+    assert ranks(errors, 0.01).tolist()[:4] == ["1–2", "1–3", "2–3", "4"]
+    assert ranks(errors, 0.01).isna()["uga"]
 
 
 def test_the_gap_closed(tmp_path):
@@ -173,8 +180,8 @@ def test_rules_are_rows_of_every_table(tmp_path):
     rows = rows_of(method_table(runs, "paired", NO_UPPER_BOUNDS))
     assert rows["adabn"]["mean, N"] == "0.400"
     assert rows["adabn"]["no shear, N"] == "0.233"
-    assert rows["adabn"]["rank Fz"] == "1.5"
-    assert rows["adabn"]["rank shear"] == "6.0"
+    assert rows["adabn"]["rank Fz"] == "1–2"
+    assert rows["adabn"]["rank shear"] == "6"
     for table in (group_table, control_table):
         assert CONSTANT in str(table(runs, "paired", NO_UPPER_BOUNDS)) or table is control_table
 

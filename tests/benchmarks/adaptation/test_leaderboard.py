@@ -1,6 +1,6 @@
-"""The leaderboard: runs of anyone, what is refused and why, and the table."""
+"""The leaderboard: what is trained beside an entry, what has a rank, and what was handed in."""
 
-import shutil
+import json
 
 import numpy as np
 import pytest
@@ -8,13 +8,20 @@ from run_records import Record, record, write_runs
 
 from gelgap.adapt import ResultTable, split_for_training
 from gelgap.adapt.evaluation import evaluate_constant_mean
-from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.adaptation import board, leaderboard
 from gelgap.benchmarks.adaptation.groups import RULES
-from gelgap.benchmarks.adaptation.leaderboard import main, ranked, write_record
+from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, LIGHT_RUNS, changes_of
+from gelgap.benchmarks.adaptation.leaderboard import GROUPS, HANDED_IN, SEEDS, entry_grid, tables
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
 from gelgap.domains import ArrayFrames
 
-GROUP = ("wmb0i0", "wmb0i1")
+TEN_LINES = """
+from gelgap.adapt import Method
+
+class MeanMatching(Method):
+    def transfer_loss(self, source, target):
+        return (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
+"""
 
 
 def domain(name: str, seed: int) -> ArrayFrames:
@@ -27,165 +34,167 @@ def domain(name: str, seed: int) -> ArrayFrames:
 
 @pytest.fixture
 def study(tmp_path, monkeypatch):
-    """A study of one group and two seeds, in memory."""
-    found = {name: domain(name, seed) for seed, name in enumerate(GROUP)}
-    monkeypatch.setattr(Study, "domains_of", lambda self, run: [])
+    """A study of the leaderboard's domains, in memory."""
+    found = {name: domain(name, seed) for seed, name in enumerate(("wmb0i0", "wmb0i1", "wmb0i2"))}
     monkeypatch.setattr(
         Study,
         "frames_of",
         lambda self, run: split_for_training(
-            found[run["source"]], found[run["target"]], self.profile_of(run), run["seed"]
+            found["wmb0i0"], found[run["target"]], self.profile_of(run), run["seed"]
         ),
     )
     return Study.at(tmp_path / "cpu")
 
 
-def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUP, **results) -> Record:
+def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUPS[0], **results) -> Record:
     """Return a run that nobody trained, whose predictions are off by as much."""
-    (run,) = grid([(board.DATA, group)], ["dan" if "." in method else method], [seed])
+    changes = results.pop("changes", board.BY_POINT)
+    (run,) = grid([(board.DATA, group)], [method], [seed], changes)
     frames = study.frames_of(run)
     found = {
         "when": "2026-11-25",
-        "configuration": study.stated_of(run)["configuration"],
         "predicted_n": (frames.target_test.force_n + off_n).astype(np.float32),
-        "frames_sha256": {name: part.digest for name, part in frames.parts.items()},
         "constant_mean_n": evaluate_constant_mean(frames.source_train, frames.target_test).mae_n,
-        "stage1_sha256": f"weights {seed}",
         "r2": (0.95,) * 3,
     }
-    setting, own = record(group, run["method"], off_n, seed, data=board.DATA, **found)
-    return setting | {"method": method}, own | results
+    setting, own = record(group, "dan" if "." in method else method, off_n, seed, data=board.DATA, **found)
+    return setting | {"method": method, "changes": changes}, own | results
+
+
+def places(study: Study, method: str, off_n: float, groups=GROUPS, seeds=SEEDS, **results) -> list[Record]:
+    return [run_of(study, method, seed, off_n, group, **dict(results)) for group in groups for seed in seeds]
 
 
 @pytest.fixture
-def folder(study, tmp_path):
-    """The records of one who ran source-only, AdaBN and the upper bounds."""
-    runs = [
-        run_of(study, method, seed, off_n, group)
-        for method, off_n, group in (
-            ("source-only", 0.5, GROUP),
-            ("adabn", 0.3, GROUP),
-            ("source-only", 0.05, (GROUP[1],) * 2),
-        )
-        for seed in (0, 1)
-    ]
-    write_runs(study.out / RUNS, runs)
-    write_record(study, tmp_path / "records", "Ada")
-    return tmp_path / "records"
+def folder(study):
+    """Runs of source-only, AdaBN and the upper bounds."""
+    own = [(target, target) for _, target in GROUPS]
+    for method, off_n, groups in (
+        ("source-only", 0.5, GROUPS),
+        ("adabn", 0.3, GROUPS),
+        ("source-only", 0.05, own),
+    ):
+        write_runs(study.out / RUNS, places(study, method, off_n, groups))
+    return study.out
 
 
-def ranks(table: ResultTable) -> dict[str, dict[str, str]]:
+def rows_of(table: ResultTable) -> dict[str, dict[str, str]]:
     """Return the rows of methods by name; rules without a network, which stand beside them, apart."""
     rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
     return {name: row for name, row in rows.items() if name not in RULES}
 
 
-def mine(
-    study: Study, off_n: float = 0.2, seeds=(0, 1), method: str = "mine.Mine", **results
-) -> list[Record]:
-    return [run_of(study, method, seed, off_n, **results) for seed in seeds]
+def send(folder, name: str, runs: list[Record]) -> None:
+    write_runs(folder / HANDED_IN / f"{name}.jsonl", runs)
 
 
-def test_runs_are_ranked_by_what_they_close(study, folder):
-    assert {path.name for path in folder.iterdir()} == {"Ada.jsonl", "Ada"}
-    write_runs(folder / "Bob.jsonl", mine(study, settings={"weight": 3}))
-    (table,), refused = ranked(folder, study)
-    assert refused == {}
-    rows = ranks(table)
-    assert {row[0] for row in table.cells} == {*rows, *RULES}
-    assert list(rows) == ["**mine.Mine**", "adabn", "source-only"]
-    # From 0.5 N to 0.05 N.
-    assert rows["**mine.Mine**"]["closed"] == "67 %"
-    assert rows["**mine.Mine**"]["settings"] == "weight = 3"
-    assert rows["source-only"]["closed"] == "0 %"
-    assert [rows[name]["who"] for name in rows] == ["Bob", "Ada", "Ada"]
-    assert rows["adabn"]["same stage 1"] == rows["adabn"]["same frames"] == "yes"
+def test_entries_are_ranked_by_what_they_close(study, folder):
+    assert tables(folder) == []  # there is no entry yet
+    write_runs(folder / RUNS, places(study, "mine.Mine", 0.2))
+    calibrated = changes_of("calibrated")
+    write_runs(folder / INPUT_RUNS, places(study, "mine.Mine", 0.1, changes=calibrated))
+    lit = [(board.LIKE + target, target) for _, target in GROUPS]
+    write_runs(folder / LIGHT_RUNS, places(study, "adabn", 0.15, lit))
+    (table,) = tables(folder)
+    rows = rows_of(table)
+    names = ["**mine.Mine / calibrated**", "adabn / like-target", "**mine.Mine**", "adabn", "source-only"]
+    assert list(rows) == names
+    # From the constant mean's 0.4 N to 0.05 N.
+    assert [rows[name]["closed"] for name in names] == ["86 %", "71 %", "57 %", "29 %", "-29 %"]
+    assert [rows[name]["rank mean"] for name in names[:4]] == ["1", "2", "3", "4"]
 
 
-def test_pictures_of_another_processor_are_ranked_and_said_to_be_others(study, folder):
-    """They differ by a code value here and there, so that no byte-wise hash can be asked for."""
-    ((_, results), _) = mine(study)
-    other = results["frames_sha256"] | {"target_train": "differs"}
-    write_runs(folder / "Bob.jsonl", mine(study, frames_sha256=other))
-    (table,), refused = ranked(folder, study)
-    assert refused == {}
-    same = {name: row["same frames"] for name, row in ranks(table).items()}
-    assert same == {"**mine.Mine**": "no", "adabn": "yes", "source-only": "yes"}
+def test_what_two_equal_runs_differ_by_has_no_order(study, folder):
+    write_runs(folder / RUNS, [*places(study, "mine.Mine", 0.2), *places(study, "mine.Twin", 0.201)])
+    (table,) = tables(folder)
+    rows = rows_of(table)
+    assert rows["**mine.Mine**"]["rank mean"] == rows["**mine.Twin**"]["rank mean"] == "1–2"
+    assert rows["adabn"]["rank mean"] == "3"
 
 
-def test_a_guests_short_source_only_puts_nobody_out(study, folder):
-    short = [run_of(study, "source-only", 0, 0.5), *mine(study)]
-    write_runs(folder / "Aaron.jsonl", short)
-    (folder / "Zoe.jsonl").write_text("")
-    (table,), refused = ranked(folder, study)
-    assert list(ranks(table)) == ["**mine.Mine**", "adabn", "source-only"]
-    assert refused["Zoe.jsonl"] == "holds no run of the groups that are compared"
-    assert "has more runs" in refused["Aaron.jsonl: source-only on disjoint contacts"]
+def test_a_seed_more_is_left_out_and_one_less_is_named(study, folder):
+    write_runs(folder / RUNS, places(study, "source-only", 0.5, seeds=(2,)))
+    write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, seeds=(0, 1, 2)))
+    write_runs(folder / RUNS, places(study, "mine.Short", 0.2, seeds=(0,)))
+    (table,) = tables(folder)
+    assert rows_of(table)["**mine.Mine**"]["closed"] == "57 %"
+    assert "Not all runs are finished of mine.Short." in table.note
+    assert len(rows_of(table)) == 3
+
+
+def test_runs_of_other_pictures_are_not_compared(study, folder):
+    write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, configuration="of other pictures"))
+    with pytest.raises(
+        ValueError, match="wmb0i0 wmb0i1 disjoint pictures, are of more than one configuration"
+    ):
+        tables(folder)
+
+
+def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
+    """Labels and a little noise would come first; a record of AdaBN would be the published one."""
+    write_runs(folder / RUNS, places(study, "mine.Mine", 0.2))
+    send(folder, "Bob", places(study, "mine.Mine", 0.06))
+    send(folder, "Aaron", [*places(study, "adabn", 0.07), *places(study, "adabn", 0.07, seeds=(7,))])
+    trained, given = tables(folder)
+    assert list(rows_of(trained)) == ["**mine.Mine**", "adabn", "source-only"]
+    assert rows_of(trained)["adabn"]["mean, N"] == "0.300"
+    rows = rows_of(given)
+    assert {name: row["mean, N"] for name, row in rows.items()} == {
+        "mine.Mine (Bob)": "0.060",
+        "adabn (Aaron)": "0.070",
+    }
+    assert "not verified" in given.title
+    assert not any(column.startswith("rank") for column in given.columns)
+
+
+def test_errors_of_what_is_handed_in_are_those_of_its_predictions(study, folder):
+    send(folder, "Bob", places(study, "mine.Mine", 0.2, mae_n=(0.001,) * 3))
+    _, given = tables(folder)
+    assert rows_of(given)["mine.Mine (Bob)"]["mean, N"] == "0.200"
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"mae_n": (0.001,) * 3}, "it states a mean MAE of 0.0010 N, its predictions have 0.2000 N"),
-        ({"mae_n": (float("nan"),) * 3}, "it states a mean MAE of nan N"),
-        ({"seeds": (0,)}, "1 runs of the board are missing, 0 are none of it"),
-        ({"configuration": "d"}, "is of configuration d, the board's is"),
-        (
-            {"constant_mean_n": (0.4, 0.4, 0.7)},
-            "its frames are others: the source's mean force has a mean MAE of 0.5",
-        ),
-        ({"frames_sha256": {}}, "lacks 'frames_sha256.source_train'"),
-        ({"profile": "smoke"}, "is of profile smoke, the board's is cpu"),
-        ({"method": "../x.y"}, "method = '../x.y' is no name"),
+        ({"seeds": (0,)}, "mine.Mine (Bob) lacks 2 of 4 runs"),
+        ({"method": "../x.y"}, "Bob holds no predictions of a method"),
         ({"predicted_n": np.zeros((1, 3))}, "no finite prediction for each of the"),
         ({"predicted_n": np.full((8, 3), np.nan)}, "no finite prediction for each of the"),
         ({"predicted_n": None}, "no finite prediction for each of the"),
-        ({"off_n": 0.001}, "is below 0.0500 N, the upper bound's"),
-        ({"method": "adabn"}, "another record of it has more runs, or was read first"),
     ],
 )
-def test_what_does_not_hold_is_not_ranked(study, folder, change, reason):
-    write_runs(folder / "Bob.jsonl", mine(study, **change))
-    (table,), refused = ranked(folder, study)
-    method = change.get("method", "mine.Mine")
-    assert reason in refused[f"Bob.jsonl: {method} on disjoint contacts"]
-    assert list(ranks(table)) == ["adabn", "source-only"]
+def test_what_cannot_be_judged_is_named(study, folder, change, reason):
+    send(folder, "Bob", places(study, **{"method": "mine.Mine", "off_n": 0.2} | change))
+    _, given = tables(folder)
+    assert reason in given.note
+    assert rows_of(given) == {}
 
 
-def test_a_run_that_stands_twice_is_not_ranked(study, folder):
-    runs = [(setting | {"copy": copy}, results) for copy in (0, 1) for setting, results in mine(study)]
-    write_runs(folder / "Bob.jsonl", runs)
-    (table,), refused = ranked(folder, study)
-    assert refused == {"Bob.jsonl: mine.Mine on disjoint contacts": "has a run twice"}
-    assert len(ranks(table)) == 2
+def test_a_run_that_stands_twice_is_not_judged(study, folder):
+    runs = places(study, "mine.Mine", 0.2)
+    send(folder, "Bob", [(setting | {"copy": copy}, own) for copy in (0, 1) for setting, own in runs])
+    _, given = tables(folder)
+    assert "mine.Mine (Bob) has a run twice" in given.note
 
 
-def test_predictions_that_are_gone_are_not_ranked(study, folder):
-    shutil.rmtree(folder / "Ada")
-    assert ranked(folder, study) == ([], {"Ada.jsonl": "holds no run of the groups that are compared"})
-
-
-def test_without_source_only_nothing_is_ranked(study, folder, capsys):
-    shutil.rmtree(folder)
-    write_runs(folder / "Bob.jsonl", mine(study))
-    tables, refused = ranked(folder, study)
-    assert tables == []
-    assert "no record of source-only" in refused["Bob.jsonl: mine.Mine on disjoint contacts"]
-    with pytest.raises(SystemExit, match="2"):
-        main([str(folder), "--runs", str(study.out), "--out", str(folder / "board.md")])
-    assert "holds no record that can be ranked" in capsys.readouterr().err
-
-
-def test_the_page_names_what_is_not_ranked(study, folder, capsys):
-    write_runs(folder / "Bob.jsonl", [*mine(study), *mine(study, method="bad.Bad", profile="smoke")])
-    arguments = [str(folder), "--runs", str(study.out), "--out", str(folder / "board.md"), "--write", "--who"]
-    main([*arguments, "Ada"])
-    text = (folder / "board.md").read_text(encoding="utf-8")
-    assert "| **mine.Mine** | 67 % |" in text
-    assert "- Bob.jsonl: bad.Bad on disjoint contacts is of profile smoke" in text
-    assert (
-        "not ranked: Bob.jsonl: bad.Bad on disjoint contacts is of profile smoke" in capsys.readouterr().err
+def test_an_entry_is_trained_beside_its_controls(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(TEN_LINES)
+    study = Study.at(tmp_path / "cpu", methods=(f"{tmp_path / 'mine.py'}:MeanMatching",))
+    assert study.known_methods() == ("source-only", "adabn", "no-transfer", "mine.MeanMatching")
+    did = []
+    monkeypatch.setattr(Study, "generate_for", lambda self, runs: None)
+    monkeypatch.setattr(Study, "run", lambda self, function, runs, file: did.append((file, list(runs))))
+    leaderboard.measure(
+        Study.at(tmp_path / "cpu", methods=study.methods, inputs=("calibrated", "like-target"))
     )
-    with pytest.raises(SystemExit, match="2"):
-        main([*arguments, "../Ada"])
-    assert "--who '../Ada' is no name of a file" in capsys.readouterr().err
+    found = {file: {run["method"] for run in runs} for file, runs in did}
+    assert found == {
+        RUNS: {"source-only", "adabn"},
+        INPUT_RUNS: {*study.known_methods()},
+        LIGHT_RUNS: {*study.known_methods()},
+    }
+    bounds = [run for file, runs in did if file == RUNS for run in runs if run["source"] == run["target"]]
+    assert len(bounds) == len(GROUPS) * len(SEEDS)
+    assert json.loads(json.dumps(bounds[0]))["data"] == board.DATA
+    with pytest.raises(ValueError, match="the leaderboard's sensors have no markers"):
+        entry_grid(("adabn",), ("markers",))
