@@ -194,6 +194,8 @@ class ForceModel:
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} is not a whole gelgap checkpoint ({reason})") from None
+        if model.profile.input == "markers" and "camera" not in content:
+            raise ValueError(f"{path} learned markers in pixels, which are now shown in mm; train it again")
         if named is not None and named.partition("#")[0] != model.profile.backbone.partition("#")[0]:
             raise ValueError(
                 f"{path} has the backbone {model.profile.backbone}, not {backbone}; leave that out"

@@ -21,6 +21,7 @@ from gelgap.adapt import (
     train_source,
 )
 from gelgap.adapt.model import AffineCorrection
+from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.prediction import range_note
 from gelgap.domains import ArrayFrames, Labels
 from gelgap.render import Illumination, MembraneRenderer, Sensor
@@ -93,6 +94,11 @@ def test_dots_are_found_and_followed_or_the_picture_is_refused(profile, tmp_path
         model.predict(images[5], render.reference(markers=False))
     with pytest.raises(ValueError, match="in 1 of 1 pictures most markers of the reference are not found"):
         model.predict(render.reference(markers=False), frames.reference)
+    former = load_checkpoint(tmp_path / "model.pt")
+    del former["camera"]
+    torch.save(former, tmp_path / "former.pt")
+    with pytest.raises(ValueError, match="markers in pixels, .* train it again"):
+        ForceModel.load(tmp_path / "former.pt")
 
 
 @pytest.mark.parametrize(
