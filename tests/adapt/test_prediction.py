@@ -97,7 +97,7 @@ def test_dots_are_found_and_followed_or_the_picture_is_refused(profile, tmp_path
     former = load_checkpoint(tmp_path / "model.pt")
     del former["camera"]
     torch.save(former, tmp_path / "former.pt")
-    with pytest.raises(ValueError, match="markers in pixels, .* train it again"):
+    with pytest.raises(ValueError, match=r"markers in pixels, .* train it again"):
         ForceModel.load(tmp_path / "former.pt")
 
 
