@@ -183,6 +183,9 @@ def plot_frontier(path: Path, points: pd.DataFrame) -> None:
     axes.axhline(FORCE_UNCERTAINTY_PERCENT, color="0.8", label="the reference's uncertainty")
     axes.axhline(FZ_TARGET, color="0.4", linestyle="--", linewidth=1, label="target at standard")
     axes.set(xlabel="processor time per pose, s", ylabel="error of the normal force, rms, %")
+    for axis in (axes.xaxis, axes.yaxis):
+        for ticks in (axis.set_major_formatter, axis.set_minor_formatter):
+            ticks("{x:g}")
     axes.grid(visible=True, which="both", linewidth=0.3)
     figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
