@@ -27,7 +27,7 @@ from gelgap.domains.frames.labels import (
 )
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import known_columns, plain_name
-from gelgap.render import Camera, Sensor
+from gelgap.render import Camera
 
 SENSOR_FILE = "sensor.toml"
 """Says of a folder of pictures how many mm a pixel shows."""
@@ -174,6 +174,8 @@ class PictureFiles(StoredFrames):
 
 def _camera_of(file: Path, width_px: int) -> Camera:
     """Return the camera of a sensor's file, or the one whose pixels show so many mm."""
+    from gelgap.render import Sensor
+
     values = read_toml(file)
     if set(values) != {"mm_per_px"}:
         return Sensor.load(file).camera
