@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, Ty
 
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
-from gelgap.assets.names import stays_inside
+from gelgap.assets.names import comma_list, stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains, random_stream
@@ -400,14 +400,22 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
     Raises
     ------
     ValueError
-        If there is no such data set.
+        If there is no such data set, or it has indenters of its own and others are given.
     """
+    given = settings.get("indenter", Sphere()), *settings.get("further_indenters", ())
     recipes: list[DomainRecipe] = []
     for group in load_preset("datasets", name)["groups"]:
         pressed: dict[str, Any] = {}
         if "indenters" in group:
+            if given != (Sphere(),):
+                raise ValueError(
+                    f"indenter = {given[-1].label}: data set {name!r} has indenters of its own, "
+                    f"{comma_list(group['indenters'])}; for others name its domains and its path: "
+                    f"{' '.join(group['domains'])} --path {group['path']}"
+                )
             first, *further = map(load_indenter, group["indenters"])
-            pressed = {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
+            columns = tuple(dict.fromkeys((*settings.get("columns", ()), "indenter")))
+            pressed = {"indenter": first, "further_indenters": tuple(further), "columns": columns}
         recipes += make_recipes(group["domains"], group["path"], **settings | pressed)
     return tuple(recipes)
 

@@ -1,6 +1,7 @@
-"""The guides' pictures of presses, and of the page of `gelgap view`.
+"""The guides' pictures of presses, of objects, and of the page of `gelgap view`.
 
 python scripts/guide_pictures.py docs/pictures           # --quality draft: in seconds
+python scripts/guide_pictures.py docs/pictures --objects # always at draft: three minutes of a core
 python scripts/guide_pictures.py docs/pictures --view    # needs Playwright and a Chromium (apt-get install chromium)
 """
 
@@ -19,13 +20,28 @@ from numpy.typing import NDArray
 from gelgap.benchmarks.render.scenes import OWN_LIT_SENSORS, STORED_SCENES, stored_reference
 from gelgap.render import Illumination, MembraneRenderer, Sensor, difference_picture
 from gelgap.render.imaging import encode
-from gelgap.sim import Elastomer, MembraneState, Pose, QualityName, Sphere, solve_poses
+from gelgap.sim import (
+    Elastomer,
+    MembraneState,
+    Pose,
+    QualityName,
+    Sphere,
+    load_indenter,
+    solve_pose,
+    solve_poses,
+)
+from gelgap.sim.objects import OBJECTS
 
 Picture = NDArray[np.uint8]
 
 POSES = (Pose(depth_mm=0.2), Pose(depth_mm=0.5), Pose(depth_mm=0.8), Pose(depth_mm=0.8, shear_x_mm=0.3))
 LIGHTS = ("i0", "i1", "i2")
 SIZE_PX = (320, 240)
+OBJECT_GEL, OBJECT_SENSOR = "e04", "gelsight-mini-fitted"
+OBJECT_POSE = Pose(depth_mm=0.4)
+# Letters take minutes.
+DRAWN_OBJECTS = [name for name in OBJECTS if name != "letters"]
+OBJECT_SIZE_PX, OBJECTS_PER_ROW = (200, 150), 6
 PAGE_SIZE_PX = (1560, 860)
 PAGE_POSE = Pose(depth_mm=0.9, shear_x_mm=0.35, shear_y_mm=-0.15, point_x_mm=0.6, point_y_mm=0.3)
 PATIENCE_S = 900.0
@@ -67,6 +83,34 @@ def draw_presses(folder: Path, quality: QualityName) -> None:
         label = f"{scene.name}: path tracer, standard, 10 x difference"
         sheet.append(compared(label, encode(reference), encode(ours)))
     save(folder / "render-contact-sheet.jpg", sheet)
+
+
+def draw_objects(path: Path) -> None:
+    """Solve a press of each object but one, and draw it by the sensor `paper` under i0 and, below, by a fitted one.
+
+    Raises
+    ------
+    RuntimeError
+        If a press did not converge.
+    """
+    import cv2
+
+    gel, states = Elastomer.preset(OBJECT_GEL), []
+    for name in DRAWN_OBJECTS:
+        states.append(solve_pose(gel, load_indenter(name), OBJECT_POSE, "draft"))
+        if not states[-1].converged:
+            raise RuntimeError(f"the press of {name} did not converge, and has no picture")
+    # The first of those by a sensor with LEDs of its own is its reference.
+    shown = under(LIGHTS[0], states), seen_by(OBJECT_SENSOR, states)[1:]
+    small = [
+        [cv2.resize(each, OBJECT_SIZE_PX, interpolation=cv2.INTER_AREA) for each in row] for row in shown
+    ]
+    for picture, name in zip(small[0], DRAWN_OBJECTS, strict=True):
+        cv2.putText(picture, name, (5, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+    for row in small:
+        row += [np.zeros_like(row[0])] * (-len(row) % OBJECTS_PER_ROW)
+    starts = range(0, len(states), OBJECTS_PER_ROW)
+    save(path, [row[start : start + OBJECTS_PER_ROW] for start in starts for row in small])
 
 
 def compared(label: str, reference: Picture, rendered: Picture) -> list[Picture]:
@@ -162,11 +206,14 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, help="where the pictures go")
     parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
+    parser.add_argument("--objects", action="store_true", help="draw objects.jpg instead")
     parser.add_argument("--view", action="store_true", help="take view.jpg instead")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     if arguments.view:
         draw_view(arguments.folder / "view.jpg")
+    elif arguments.objects:
+        draw_objects(arguments.folder / "objects.jpg")
     else:
         draw_presses(arguments.folder, arguments.quality)
 

@@ -91,6 +91,13 @@ def test_the_preset_says_what_each_shape_takes() -> None:
     assert 2 * sphere < box
 
 
+def test_a_data_set_with_indenters_of_its_own_takes_no_others_and_keeps_other_columns() -> None:
+    with pytest.raises(ValueError, match=r"'shapes' has indenters of its own.*mb0i0 --path shapes"):
+        preset_recipes("shapes", further_indenters=(Sphere(diameter_mm=4.0),))
+    (recipe,) = preset_recipes("shapes", columns=("torque",))
+    assert {"torque", "indenter"} <= set(recipe.columns)
+
+
 def test_turns_are_told_with_their_time_and_in_columns() -> None:
     way = {"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.0, 0.2)], "twist_deg": [0.0, 5.0]}
     path = PosePath.from_trajectories("twist", [way])
