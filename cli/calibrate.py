@@ -17,6 +17,8 @@ from gelgap.cli import options as opt
 if TYPE_CHECKING:
     import numpy as np
 
+    from gelgap.domains.press_prediction import PredictedPress
+
 HELD_OUT = {
     "unchanged": "unchanged reference",
     "table": "plain table of the same presses",
@@ -66,27 +68,33 @@ class Calibrate(opt.Command):
     For example:
       gelgap calibrate ball-pictures --ball-mm 4 --mm-per-px 0.12 -o fitted.toml
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
+      gelgap calibrate boxes.toml --predict --sensor fitted.toml -o boxes.toml
+
+    With --predict a press may be of another body: indenter = "box.toml", a file beside the list, or a preset, instead
+    of sphere_diameter_mm, with depth_mm, a place, and perhaps turn_deg = [0, 0, 30]; and it needs no picture.
     """
 
     presses: tyro.conf.Positional[Path]
     """Folder of pictures or videos; or a TOML file that lists pictures of pressed spheres; or gelsight or
     gelsight_mini, calibration pictures of the package taxim, or a folder with such a dataPack.npz."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")] = Path("fitted.toml")
-    """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
+    """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it. With --predict
+    only pictures are written, to a folder of its name with -predicted."""
     reference: Annotated[Path | None, opt.optional("PATH", "the list's, the folder's or the package's")] = (
         None
     )
     """Picture without contact."""
     sensor: Annotated[str | None, opt.optional("NAME")] = None
-    """Where the fit starts, instead of --mm-per-px: a sensor preset or TOML file; its LEDs within 30°, or none."""
+    """Where the fit starts, instead of --mm-per-px: a sensor preset or TOML file; its LEDs within 30°, or none. With
+    --predict, the fit."""
     mm_per_px: Annotated[float | None, opt.optional("MM"), check_mm_per_px] = None
     """How much of the gel a pixel shows. Left out, as the list says; of taxim 0.0295, as it says."""
     ball_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The ball's diameter in all presses, whatever the list or the package says; a folder needs it."""
     held_out_parts: Annotated[int, opt.between(0, 24)] = 3
     """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
-    keep_camera: opt.Flag = False
-    """Leave the camera as the sensor has it; otherwise its blur and distance are fitted, as far as seems parallel."""
+    predict: opt.Flag = False
+    """Fit nothing: draw the presses with --sensor, a fit, and compare them with their pictures, if they have any."""
     quality: opt.Quality = "draft"
     """How finely the membrane around the spheres is solved."""
 
@@ -95,6 +103,9 @@ class Calibrate(opt.Command):
         from gelgap.domains.calibration_presses import lit_from_dents
         from gelgap.render.calibration.pictures import check_presses
 
+        if self.predict:
+            self._predict()
+            return
         if self.held_out_parts == 1:
             raise ValueError("held_out_parts = 1: must be 0, or 2 to 24")
         sensor, reference, presses = self._inputs()
@@ -106,7 +117,6 @@ class Calibrate(opt.Command):
             reference,
             presses,
             lambda diameters, deepest: domains.sphere_profiles(diameters, deepest, self.quality),
-            keep_camera=self.keep_camera,
             folds=self.held_out_parts,
         )
         report = report_lines(fit)
@@ -120,7 +130,26 @@ class Calibrate(opt.Command):
         for warning in warnings_of(fit):
             print(f"gelgap: warning: {warning}", file=sys.stderr)
         if fit.held_out:
-            write_comparisons(fit, presses, self.out.with_name(f"{self.out.stem}-held-out"))
+            write_comparisons(
+                held_out_pairs(fit, presses), self.out.with_name(f"{self.out.stem}-held-out"), "held-out"
+            )
+
+    def _predict(self) -> None:
+        from gelgap.domains.press_prediction import predict_presses
+
+        if self.sensor is None:
+            raise ValueError("--predict needs --sensor, the fit")
+        if self.mm_per_px is not None and not self.presses.is_dir():
+            raise ValueError("--predict takes the scale from the fit: leave out --mm-per-px")
+        path = self._marked() if self.presses.is_dir() else self.presses
+        sensor = opt.named(render.Sensor, self.sensor)
+        found = predict_presses(sensor, path, self.reference, self.quality)
+        print("\n".join(prediction_lines(found)))
+        write_comparisons(
+            [(press.real, press.picture) for press in found],
+            self.out.with_name(f"{self.out.stem}-predicted"),
+            "predicted",
+        )
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
         from gelgap.domains.calibration_presses import NAMES, PACK, taxim_presses
@@ -220,6 +249,29 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
     return lines
 
 
+def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
+    """Return a table of presses that a fit predicts, with the median and the worst beside the unchanged reference."""
+    import numpy as np
+
+    scored = [press for press in presses if press.real is not None]
+    if not scored:
+        return [f"{len(presses)} presses drawn; none has a picture to be compared with"]
+    gains = [np.subtract(press.predicted, press.unchanged) for press in scored]
+    rows = [(press.name, *press.predicted, *press.unchanged) for press in scored]
+    levels = np.array([row[1:] for row in rows])
+    rows += [("median", *np.median(levels, axis=0)), ("lowest", *levels.min(axis=0))]
+    width = max(len(name) for name, *_ in rows)
+    lines = [f"PSNR in dB{'':{width - 8}}predicted: inside, around   unchanged reference: inside, around"]
+    for name, inside, ring, flat_inside, flat_ring in rows:
+        lines.append(f"  {name:{width}s}{inside:17.1f}{ring:9.1f}{flat_inside:29.1f}{flat_ring:9.1f}")
+    worst = min(range(len(scored)), key=lambda number: gains[number].min())
+    where = ("inside", "around")[int(gains[worst].argmin())]
+    return [
+        *lines,
+        f"the press that gains least: {scored[worst].name}, {gains[worst].min():+.1f} dB {where} its contact",
+    ]
+
+
 def warnings_of(fit: "render.LightCalibration") -> list[str]:
     """Return what to think of before such a fit is used."""
     from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
@@ -266,19 +318,29 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.0f}" if isnan(error) else f"{value:.0f} ± {error:.0f}"
 
 
+def held_out_pairs(
+    fit: "render.LightCalibration", presses: "Sequence[render.PressPicture]"
+) -> "list[tuple[np.ndarray, np.ndarray]]":
+    """Return each held-out press's picture, and what was predicted of it."""
+    from gelgap.render.calibration.pictures import press_names
+
+    pictures = {name: press.picture for name, press in zip(press_names(presses), presses, strict=True)}
+    return [(pictures[press.name], press.draw()) for press in fit.held_out]
+
+
 def write_comparisons(
-    fit: "render.LightCalibration", presses: "Sequence[render.PressPicture]", folder: Path
+    pairs: "Sequence[tuple[np.ndarray | None, np.ndarray]]", folder: Path, kind: str
 ) -> None:
-    """Write a picture of each held-out press: real, predicted, and 128 plus four times the difference."""
+    """Write a picture of each press: real, predicted, and 128 plus four times the difference; or predicted alone."""
     import cv2
     import numpy as np
 
     folder.mkdir(parents=True, exist_ok=True)
-    by_name = {press.name or f"press {number}": press for number, press in enumerate(presses, start=1)}
-    for number, held_out in enumerate(fit.held_out, start=1):
-        real, predicted = by_name[held_out.name].picture, held_out.draw()
-        difference = render.difference_picture(predicted, real, DIFFERENCE_GAIN)
-        path = folder / f"held-out-{number:02d}.png"
-        if not cv2.imwrite(str(path), np.hstack([real, predicted, difference])[..., ::-1]):
+    for number, (real, predicted) in enumerate(pairs, start=1):
+        shown = predicted
+        if real is not None:
+            shown = np.hstack([real, predicted, render.difference_picture(predicted, real, DIFFERENCE_GAIN)])
+        path = folder / f"{kind}-{number:02d}.png"
+        if not cv2.imwrite(str(path), shown[..., ::-1]):
             raise RuntimeError(f"{path} could not be written")
-    print(f"wrote {len(fit.held_out)} comparisons to {folder}")
+    print(f"wrote {len(pairs)} comparisons to {folder}")

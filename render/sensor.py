@@ -28,6 +28,8 @@ from gelgap.render.light.leds import Illumination
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
+_Share = Annotated[float, Field(ge=-10, le=10)]
+_Row = tuple[_Share, _Share, _Share]
 
 
 class Coating(Settings):
@@ -217,6 +219,12 @@ class Sensor(PresetSettings):
         default=None,
         exclude_if=lambda value: value is None,
         description="what the real reference shows beyond the model",
+    )
+    marks_off: tuple[_Row, _Row, _Row, _Row] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        repr=False,
+        description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
     )
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:

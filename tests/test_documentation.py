@@ -334,6 +334,10 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
             f"point_mm = [{float(x)}, {float(y)}]\n"
         )
     (folder / "presses.toml").write_text("".join(tables))
+    other = (
+        '[[presses]]\nindenter = "sphere"\npicture = "press-1.png"\ndepth_mm = 0.6\npoint_mm = [1.5, -0.8]\n'
+    )
+    (folder / "boxes.toml").write_text(other)
     (folder / "ball-pictures").mkdir()
     for path in (folder / "ref.png", *folder.glob("press-*.png")):
         shutil.copy(path, folder / "ball-pictures")

@@ -367,8 +367,18 @@ class LightTask:
             "markers": Markers(layout="none"),  # the flat field has those of the reference
             "illumination": illumination,
             "flat_field": None,
+            "marks_off": self._marks_off(fit),
         }
         return self.sensor.model_copy(update=update)
+
+    def _marks_off(self, fit: LightFit) -> tuple[tuple[float, ...], ...] | None:
+        """Return the sensor's `marks_off`, where all presses are marked by their contacts' radii."""
+        presses = [self.placed.presses[k] for k in fit.which]
+        if any(press.radius_px is None or press.has_rough_marks for press in presses):
+            return None
+        radius_mm = float(np.median([press.sphere_diameter_mm for press in presses])) / 2
+        units = np.array([1.0, 1.0, 1.0, radius_mm])
+        return tuple(map(tuple, (units[:, None] * fit.marks_off() / units[1:]).tolist()))
 
     def flat_field(self, fit: LightFit, sensor: Sensor) -> FlatFieldMaps:
         """Return the flat field that makes the rendered reference of the fitted sensor the real one."""

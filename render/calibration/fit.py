@@ -13,7 +13,7 @@ import numpy as np
 
 from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
-from gelgap.render.calibration.poses import PlacedPresses
+from gelgap.render.calibration.poses import LEAST_DEPTH_MM, PlacedPresses
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 
@@ -25,7 +25,6 @@ _REFERENCE_STEP = 4
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
 _MOST_STEP_MM = 0.06
-_LEAST_DEPTH_MM = 0.02
 MOST_BLUR_PX = 4.0
 # By what share the error must fall for a blur to be believed: less is what meshes and pixels blur.
 _LEAST_GAIN = 0.02
@@ -257,7 +256,7 @@ class LightFit:
         other.start_presses = other.placed.poses_mm[self.which]
         other.presses = other.start_presses + self.presses - self.start_presses
         deepest = [profiles.deepest_mm for profiles in self.profiles]
-        other.presses[:, 2] = np.clip(other.presses[:, 2], _LEAST_DEPTH_MM, deepest)
+        other.presses[:, 2] = np.clip(other.presses[:, 2], LEAST_DEPTH_MM, deepest)
         other.flat_light = self.flat_light.copy()
         other._solve()
         other.refine_presses(1)
@@ -285,14 +284,19 @@ class LightFit:
                     weighted @ jacobian + np.diag(stiffness), weighted @ error + stiffness * off
                 )
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
-                self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
+                self.presses[k, 2] = np.clip(self.presses[k, 2], LEAST_DEPTH_MM, profiles.deepest_mm)
+
+    def marks_off(self) -> np.ndarray:
+        """Return (4, 3): by 1, x, y and depth of a mark how far x, y and depth of the fitted presses are off, in mm."""
+        off, middle = self.presses - self.start_presses, self.start_presses.mean(axis=0)
+        at = self.start_presses - middle
+        slopes = np.linalg.solve(at.T @ at + _HABIT_RIDGE_MM2 * np.eye(3), at.T @ off)
+        return np.vstack([off.mean(axis=0) - middle @ slopes, slopes])
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""
-        off, middle = self.presses - self.start_presses, self.start_presses.mean(axis=0)
-        at, marked = self.start_presses - middle, self.placed.poses_mm[press]
-        slopes = np.linalg.solve(at.T @ at + _HABIT_RIDGE_MM2 * np.eye(3), at.T @ off)
-        return marked + off.mean(axis=0) + (marked - middle) @ slopes
+        marked = self.placed.poses_mm[press]
+        return marked + np.r_[1.0, marked] @ self.marks_off()
 
     def refined(self, press: int) -> "LightFit":
         """Return the light with one press only, moved to where the light explains its picture best."""

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, found_dots
+from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.light.scattered import monomials
 
-_LEAST_DOTS = 0.01  # fewer dark specks are dirt
 _WIDEST_PX = 640  # pictures are looked at no larger
 _LEAST_CHANGE = 5.0  # code values
 _BLUR_SHARE, _FINE_BLUR_PX = 1 / 80, 1.0  # of the width, to find a contact; to measure it
@@ -224,7 +223,7 @@ def find_marks(
 
     small = seen(reference)
     dots = found_dots(small)
-    dots = dots if dots.mean() > _LEAST_DOTS else None
+    dots = dots if dots.mean() > LEAST_DOTS else None
     own = [seen(picture) for picture in pictures]
     changes = [_Change.of(picture, small, dots) for picture in own]
     starts = [change.start() for change in changes]

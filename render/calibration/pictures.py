@@ -66,15 +66,30 @@ def _beside(picture: str) -> str:
 
 
 class ListedPress(Settings):
-    """One press of a list in TOML: what a `PressPicture` says, with its picture's file, beside the list."""
+    """One press of a list in TOML: what a `PressPicture` says, with its picture's file, beside the list.
 
-    picture: Annotated[str, AfterValidator(_beside)]
+    To be predicted it may have another body than a ball, by the name or file of an indenter, and no picture.
+    """
+
+    picture: Annotated[str, AfterValidator(_beside)] | None = None
     sphere_diameter_mm: float | None = None
     depth_mm: float | None = None
     radius_px: float | None = None
     point_mm: tuple[float, float] | None = None
     center_px: tuple[float, float] | None = None
     marks_off_px: float = 3.0
+    indenter: str | None = None
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def label(self) -> str:
+        return self.picture or self.indenter or "ball"
+
+    def as_picture(self, picture: np.ndarray, name: str) -> PressPicture:
+        """Return the press with its picture."""
+        return PressPicture(
+            picture, name=name, **self.model_dump(exclude={"picture", "indenter", "turn_deg"})
+        )
 
 
 _NEEDED = (
@@ -91,13 +106,15 @@ class PressList(Settings):
     mm_per_px: float | None = None
 
     def pictures(self, folder: Path) -> tuple[PressPicture, ...]:
-        """Read the presses' pictures."""
+        """Read the presses' pictures; raises ValueError for a press of another body than a ball, or without one."""
+        for number, press in enumerate(self.presses, start=1):
+            if press.picture is None or press.indenter is not None or any(press.turn_deg):
+                raise ValueError(
+                    f"press {number} ({press.label}): a calibration needs its picture, and balls alone; indenter and "
+                    "turn_deg are for --predict"
+                )
         return tuple(
-            PressPicture(
-                read_image(folder / press.picture),
-                name=f"press {number} ({press.picture})",
-                **press.model_dump(exclude={"picture"}),
-            )
+            press.as_picture(read_image(folder / press.picture), f"press {number} ({press.picture})")
             for number, press in enumerate(self.presses, start=1)
         )
 
@@ -147,28 +164,31 @@ def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> Non
     if (reference > DARK).mean() < LEAST_USABLE:
         raise ValueError("the reference is dark; expose it more")
     for name, press in zip(press_names(presses), presses, strict=True):
-        height, width, _ = press.picture.shape
-        depth_mm, diameter_mm = press.depth_mm, press.sphere_diameter_mm
-        if press.picture.shape != shape:
-            wrong = (
-                f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come "
-                "from the same camera"
-            )
-        elif (depth_mm is None) == (press.radius_px is None):
-            wrong = " must have either depth_mm or radius_px"
-        elif diameter_mm is not None and diameter_mm <= 0:
-            wrong = f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
-        elif depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
-            wrong = (
-                f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
-            )
-        elif press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
-            wrong = f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
-        elif not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
-            wrong = f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
-        else:
-            continue
-        raise ValueError(name + wrong)
+        check_press(shape, name, press)
+
+
+def check_press(shape: tuple[int, ...], name: str, press: PressPicture) -> None:
+    """Raise ValueError for a press whose picture has another shape, or whose depth, radius or ball cannot be."""
+    height, width, _ = press.picture.shape
+    depth_mm, diameter_mm = press.depth_mm, press.sphere_diameter_mm
+    if press.picture.shape != shape:
+        wrong = (
+            f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come "
+            "from the same camera"
+        )
+    elif (depth_mm is None) == (press.radius_px is None):
+        wrong = " must have either depth_mm or radius_px"
+    elif diameter_mm is not None and diameter_mm <= 0:
+        wrong = f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
+    elif depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
+        wrong = f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
+    elif press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
+        wrong = f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
+    elif not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
+        wrong = f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
+    else:
+        return
+    raise ValueError(name + wrong)
 
 
 def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) -> tuple[float, float]:

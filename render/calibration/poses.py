@@ -31,6 +31,7 @@ REACH = 4.5
 MODELLED_MM = 8.0
 SCORED_RADII = 2.0
 FEWEST_FOR_GAIN = 12
+LEAST_DOTS = 0.01  # of a picture; fewer dark specks are dirt
 _STEP_PX = 4
 _FAR, _LOADED_BEYOND, _SOFTNESS = 3.0, 2.5, 0.5  # contact radii
 _FOUND_SIGMA_MM = 0.5
@@ -38,6 +39,7 @@ _KNOWN_DEPTH_SIGMA_MM = 0.05
 _MARKED_DEPTH_SIGMA = 0.1 / 3  # radii of the sphere per pixel that the mark may be off
 # Where rough marks say nothing of the depth, in radii of the sphere.
 _UNKNOWN_DEPTH, _UNKNOWN_DEPTH_SIGMA = 0.6, 0.4
+LEAST_DEPTH_MM = 0.02
 _LEAST_CHANGE = 2.0  # code values
 _LEAST_SPREAD = 0.2  # of all presses, in radii of the largest mark
 
@@ -73,7 +75,7 @@ class PlacedPresses:
     def seen_by(self, camera: Camera) -> "PlacedPresses":
         """Return the presses as another camera sees them, which shows the same of the flat membrane."""
         poses = [
-            _start(camera, press, profiles, self.size_px)[0]
+            start_pose(camera, press, profiles, self.size_px)[0]
             for press, profiles in zip(self.presses, self.profiles, strict=True)
         ]
         return replace(self, camera=camera, poses_mm=np.array(poses))
@@ -250,24 +252,23 @@ def place_presses(
     """
     size_px = reference.shape[1], reference.shape[0]
     names, own = press_names(presses), [profiles[press.sphere_diameter_mm] for press in presses]
-    located, poses, sigmas, centers, radii = [], [], [], [], []
+    all_located, poses, sigmas, centers, radii = [], [], [], [], []
     for name, given, around in zip(names, presses, own, strict=True):
         try:
-            press = _located(given, reference, camera)
-            pose, radius_px = _start(camera, press, around, size_px)
+            press = located(given, reference, camera)
+            pose, radius_px = start_pose(camera, press, around, size_px)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
-        located.append(press)
+        all_located.append(press)
         rim = np.array([*pose[:2], -pose[2]])
         centers.append(np.array(press.center_px or camera.project_px(rim, size_px) - 0.5))
         poses.append(pose)
         radii.append(radius_px)
         sigmas.append(_sigmas_mm(given, camera.footprint_mm(size_px)[0] / size_px[0]))
     arrays = (np.array(values) for values in (poses, sigmas, centers, radii))
-    placed = PlacedPresses(camera, reference, tuple(located), names, *arrays, own)
+    placed = PlacedPresses(camera, reference, tuple(all_located), names, *arrays, own)
     _check_contacts(placed)
-    # Few dark specks are dirt; dots are many.
-    return replace(placed, has_dots=bool(found_dots(reference).mean() > 0.01))
+    return replace(placed, has_dots=bool(found_dots(reference).mean() > LEAST_DOTS))
 
 
 def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
@@ -279,7 +280,7 @@ def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
     return [aside, aside, depth * press.sphere_diameter_mm / 2]
 
 
-def _located(press: PressPicture, reference: np.ndarray, camera: Camera) -> PressPicture:
+def located(press: PressPicture, reference: np.ndarray, camera: Camera) -> PressPicture:
     """Return the press with the centre of its imprint, found in the picture unless it is known well."""
     if press.has_place:
         return press
@@ -288,7 +289,7 @@ def _located(press: PressPicture, reference: np.ndarray, camera: Camera) -> Pres
     return replace(press, center_px=tuple(center.tolist()))
 
 
-def _start(
+def start_pose(
     camera: Camera, press: PressPicture, profiles: PressProfiles, size_px: tuple[int, int]
 ) -> tuple[np.ndarray, float]:
     """Return (x, y, depth) in mm and the contact's radius in pixels."""
@@ -317,6 +318,13 @@ def _start(
         axis = np.array(camera.position_mm[:2])
         point = axis + nearer * (camera.plane_points_mm(columns, rows, size_px)[0] - axis)
     return np.array([*point, min(depth, profiles.deepest_mm)]), float(radius_px or contact_mm / mm_per_px)
+
+
+def expected_from_mark(pose_mm: np.ndarray, marks_off: np.ndarray, profiles: PressProfiles) -> np.ndarray:
+    """Return (3,) where a ball marked at x, y, depth is, by a sensor's `marks_off`."""
+    unit_mm = np.array([1.0, 1.0, profiles.sphere_radius_mm])
+    moved = pose_mm + unit_mm * (np.r_[1.0, pose_mm / unit_mm] @ marks_off)
+    return np.array([*moved[:2], np.clip(moved[2], LEAST_DEPTH_MM, profiles.deepest_mm)])
 
 
 def _nearer(camera: Camera, profiles: PressProfiles, depth_mm: float, contact_mm: float) -> float:

@@ -103,7 +103,7 @@ def test_what_makes_a_fit_doubtful_is_said(
     given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
     fit = fitted_light()
     bad = HeldOut("press 2 (q.png)", (18, 24), (29, 30), (30, 21.5), (33, 34), fit.held_out[0].draw)
-    monkeypatch.setattr("gelgap.cli.calibrate.write_comparisons", lambda *_: None)
+    monkeypatch.setattr("gelgap.cli.calibrate.held_out_pairs", lambda *_: [])
     for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
         found = replace(fit, held_out=held_out, at_limits=limits)
         monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, found=found, **__: found)

@@ -1,0 +1,207 @@
+"""Marked presses drawn with a fitted sensor, of balls and of other bodies, beside their pictures where there are some.
+
+A ball's membrane is that of the calibration, another body's is solved. Nothing of a press's picture is used but the
+place of a contact that is not marked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.assets.image_file import read_image
+from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
+from gelgap.render import MembraneRenderer, PressPicture, Sensor
+from gelgap.render.calibration.pictures import ListedPress, PressList, check_press, read_press_list
+from gelgap.render.calibration.poses import (
+    LEAST_DOTS,
+    SCORED_RADII,
+    expected_from_mark,
+    found_dots,
+    located,
+    start_pose,
+)
+from gelgap.render.calibration.profiles import PressProfiles
+from gelgap.render.flat_field import load_maps
+from gelgap.render.imaging import psnr_db
+from gelgap.sim import Indenter, Pose, load_indenter, solve_pose
+from gelgap.sim.plan import plan_visit
+
+_BEYOND_VIEW = 1.3
+Levels = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PredictedPress:
+    """A press as drawn, uint8 (h, w, 3); its real picture and PSNR in dB inside the contact and around it, if known.
+
+    Around a ball's contact is from one to two radii; around another body's as far as a disc of its area has radius.
+    """
+
+    name: str
+    picture: np.ndarray = field(repr=False)
+    real: np.ndarray | None = field(repr=False)
+    predicted: Levels | None
+    unchanged: Levels | None
+
+
+def predict_presses(
+    sensor: Sensor, path: Path, reference: Path | None = None, quality: str = "draft"
+) -> list[PredictedPress]:
+    """Draw the presses of a list in TOML, with a `reference` or the list's to be scored against, else the sensor's own.
+
+    A press has `sphere_diameter_mm` as in a calibration, or `indenter` (what `load_indenter` takes; files beside the
+    list) with `depth_mm`, a place and perhaps `turn_deg`. Balls marked by centre and radius are moved by the sensor's
+    `marks_off`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file does not exist.
+    ValueError
+        If the list has no presses, a picture another size than the fit, a body is unknown, or a press cannot be.
+    RuntimeError
+        If a contact does not converge.
+    """
+    if sensor.illumination is None:
+        raise ValueError(f"sensor {sensor.name!r} has no LEDs of its own: to predict, give a fitted one")
+    listed = read_press_list(path)
+    if not listed.presses:
+        raise ValueError(f"{path}: its presses are an empty list; there is nothing to predict")
+    untouched, presses = _pictures(sensor, listed, path.parent, reference)
+    renderer = MembraneRenderer(sensor, sensor.illumination, untouched.shape[1::-1], quality)
+    untouched = renderer.reference() if not untouched.any() else untouched
+    bodies = [
+        _body(press, own, path.parent, quality) for press, own in zip(listed.presses, presses, strict=True)
+    ]
+    diameters = {own.sphere_diameter_mm for own, body in zip(presses, bodies, strict=True) if body is None}
+    profiles = sphere_profiles(diameters, quality=quality)
+    found = []
+    for listed_press, press, body in zip(listed.presses, presses, bodies, strict=True):
+        try:
+            if body is None:
+                own = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
+            else:
+                own = _of_body(renderer, listed_press, press, body, quality)
+        except ValueError as error:
+            raise ValueError(f"{path}: {press.name}: {error}") from None
+        real = press.picture if listed_press.picture else None
+        found.append(_scored(press.name, *own, real, untouched))
+    return found
+
+
+def _pictures(
+    sensor: Sensor, listed: PressList, folder: Path, reference: Path | None
+) -> tuple[np.ndarray, list[PressPicture]]:
+    """Return the untouched picture (black if none is given) and the presses, black without a picture, of one size."""
+    reference = reference or (folder / listed.reference if listed.reference else None)
+    files = [folder / press.picture if press.picture else None for press in listed.presses]
+    pictures = {file: read_image(file) for file in (reference, *files) if file is not None}
+    fitted = None if sensor.flat_field is None else load_maps(sensor.flat_field).ratio.shape
+    if fitted is None and not pictures:
+        raise ValueError(
+            f"sensor {sensor.name!r} has no flat field, which would say how large its pictures are: give --reference"
+        )
+    shape = fitted or next(iter(pictures.values())).shape
+    for file, picture in pictures.items():
+        if picture.shape != shape:
+            raise ValueError(
+                f"{file} is a picture of {picture.shape[1]}×{picture.shape[0]} px, and the fit is of "
+                f"{shape[1]}×{shape[0]} px; they must come from the same camera"
+            )
+    black = np.zeros(shape, np.uint8)
+    presses = [
+        press.as_picture(black if file is None else pictures[file], f"press {number} ({press.label})")
+        for number, (press, file) in enumerate(zip(listed.presses, files, strict=True), start=1)
+    ]
+    return pictures.get(reference, black), presses
+
+
+def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) -> Indenter | None:
+    """Return a press's body, None for a ball, once the press is known to be one that can be."""
+    ball, name = press.sphere_diameter_mm is not None, press.name
+    if ball == (listed.indenter is not None):
+        raise ValueError(f"{name} must have either sphere_diameter_mm or indenter")
+    has_place = press.has_place or (ball and listed.picture is not None)
+    if not has_place or press.has_rough_marks:
+        raise ValueError(f"{name} must have point_mm, or center_px with marks_off_px of at most 10")
+    if ball:
+        check_press(press.picture.shape, name, press)
+        return None
+    if press.depth_mm is None or press.radius_px is not None:
+        raise ValueError(f"{name} must have depth_mm, and no radius_px, which only a ball leaves")
+    try:
+        file = str(folder / listed.indenter) if "." in listed.indenter else listed.indenter
+        body = load_indenter(file)
+        plan_visit(CALIBRATION_GEL, body, [_pose(listed, (0.0, 0.0))], quality)
+    except (ValueError, FileNotFoundError) as error:
+        raise type(error)(f"{name}: {error}") from None
+    return body
+
+
+def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
+    roll_x_deg, roll_y_deg, twist_deg = listed.turn_deg
+    x_mm, y_mm = map(float, point_mm)
+    return Pose(
+        listed.depth_mm,
+        point_x_mm=x_mm,
+        point_y_mm=y_mm,
+        roll_deg=(roll_x_deg, roll_y_deg),
+        twist_deg=twist_deg,
+    )
+
+
+def _of_ball(
+    renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the picture of a ball, moved by the marks' habit, and where its mark says that it touches (h, w)."""
+    camera, size_px = renderer.sensor.camera, renderer.size_px
+    press = located(press, untouched, camera)
+    pose, radius_px = start_pose(camera, press, profiles, size_px)
+    center_px = press.center_px or camera.project_px(np.array([*pose[:2], -pose[2]]), size_px) - 0.5
+    if press.radius_px is not None and (off := renderer.sensor.marks_off) is not None:
+        pose = expected_from_mark(pose, np.array(off), profiles)
+    half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
+    picture = renderer.picture(*profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm)))
+    rows, columns = np.indices(picture.shape[:2])
+    return picture, np.hypot(columns - center_px[0], rows - center_px[1]) < radius_px
+
+
+def _of_body(
+    renderer: MembraneRenderer, listed: ListedPress, press: PressPicture, body: Indenter, quality: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the picture of a body, and where it touches (h, w)."""
+    camera = renderer.sensor.camera
+    point_mm = press.point_mm
+    if point_mm is None:
+        column, row = (np.array([value], float) for value in press.center_px)
+        axis_mm = np.array(camera.position_mm[:2])
+        nearer = 1 + press.depth_mm / camera.position_mm[2]  # the face stands nearer than the flat membrane
+        point_mm = axis_mm + nearer * (camera.plane_points_mm(column, row, renderer.size_px)[0] - axis_mm)
+    state = solve_pose(CALIBRATION_GEL, body, _pose(listed, point_mm), quality)
+    if not state.converged:
+        raise RuntimeError(
+            f"{press.name}: the contact does not converge; try another --quality, or less depth"
+        )
+    membrane = state.x_mm, state.y_mm, state.displacement_mm
+    return renderer.picture(*membrane), renderer.contact_mask(*membrane, state.contact)
+
+
+def _scored(
+    name: str, picture: np.ndarray, inside: np.ndarray, real: np.ndarray | None, untouched: np.ndarray
+) -> PredictedPress:
+    from scipy.ndimage import distance_transform_edt
+
+    if real is None:
+        return PredictedPress(name, picture, None, None, None)
+    if not inside.any():
+        raise ValueError("the contact lies outside of the picture")
+    away_px = distance_transform_edt(~inside)
+    ring = ~inside & (away_px <= (SCORED_RADII - 1) * np.sqrt(inside.sum() / np.pi))
+    dots = found_dots(untouched)
+    clear = ~(dots | found_dots(real)) if dots.mean() > LEAST_DOTS else np.ones_like(inside)
+    predicted, unchanged = (
+        (psnr_db(own, real, inside & clear), psnr_db(own, real, ring & clear)) for own in (picture, untouched)
+    )
+    return PredictedPress(name, picture, real, predicted, unchanged)
