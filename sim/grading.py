@@ -141,11 +141,11 @@ def check_sharpness(problem: ContactProblem) -> None:
             f"indenter ({problem.indenter.label}): is {width_mm:.2g} mm wide at most where it cuts the gel at a depth "
             f"of {problem.depth_mm:g} mm; quality {problem.quality.name} serves {thinnest_mm:.2g} mm and more here"
         )
-    if _is_served(problem):
+    if is_served(problem):
         return
     names = list(QUALITIES)
     finer = names[names.index(problem.quality.name) + 1 :]
-    serving = [name for name in finer if _is_served(replace(problem, quality=QUALITIES[name]))]
+    serving = [name for name in finer if is_served(replace(problem, quality=QUALITIES[name]))]
     # Rounded up, so that it is served.
     served_mm = math.ceil(1e3 * _sharpest_mm(problem)) / 1e3
     remedy = f"quality {serving[0]} serves it" if serving else "give a larger edge_radius_mm"
@@ -159,7 +159,8 @@ def _sharpest_mm(problem: ContactProblem) -> float:
     return problem.cell_mm * (_SHARPEST_RING_CELLS if problem.is_round else _SHARPEST_CELLS)
 
 
-def _is_served(problem: ContactProblem) -> bool:
+def is_served(problem: ContactProblem) -> bool:
+    """Return whether the mesh serves the sharpest edge of what is pressed."""
     sharpest_mm = _sharpest_mm(problem)
     # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
     return edge_radius_mm(problem, sharpest_mm) >= 0.98 * sharpest_mm

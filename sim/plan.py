@@ -23,6 +23,7 @@ from gelgap.sim.membrane import (
 )
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
+from gelgap.sim.relief import bridged
 from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
@@ -243,6 +244,7 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
     for problem, served in (*_descent_problems(scene, poses), *_trajectory_problems(scene, poses)):
         for index, (record, frame) in served.items():
             placements[index] = Placement(len(solves), record, frame)
+        problem = bridged(problem)
         check_sharpness(problem)
         solves.append(Solve(problem, scene.sharing.cache))
     return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))

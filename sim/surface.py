@@ -128,10 +128,8 @@ class Surface(Shape):
         heights -= heights.min()
         kept_mm = min(height_mm / 2, _DEEPEST_MM) + _KEPT_ABOVE_MM
         step_mm = round(min(kept_mm, max(heights[heights <= kept_mm].max(), 1e-2)) / (_NOTHING - 1) + 5e-9, 8)
-        codes = np.where(heights <= kept_mm, np.round(np.minimum(heights, kept_mm) / step_mm), _NOTHING)
-        packed = zlib.compress(codes.astype("<u2").tobytes(), 9)
         return cls(
-            heights=base64.b64encode(packed).decode(),
+            heights=_encoded(np.where(heights <= kept_mm, heights, np.inf), step_mm),
             columns=heights.shape[1],
             spacing_mm=spacing_mm,
             step_mm=step_mm,
@@ -224,6 +222,20 @@ class Surface(Shape):
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Return the smallest radius of what bulges, along an axis, in each of some places: creases are no edges."""
         return _curvature(self, depth_mm, axis, step_mm)
+
+    @property
+    def heights_mm(self) -> Floats:
+        """Heights (rows, columns) of the underside as it is not turned, infinite where nothing is."""
+        return _decoded_mm(self.heights, self.columns, self.step_mm)
+
+    @property
+    def axes(self) -> Floats:
+        """The rotation (3, 3) from the axes of `heights_mm` to the sensor's."""
+        return self._turn
+
+    def with_heights(self, heights_mm: Floats) -> "Surface":
+        """Return the body with other heights (rows, columns), none of them higher than its highest."""
+        return self.model_copy(update={"heights": _encoded(heights_mm, self.step_mm)})
 
     @property
     def _points_mm(self) -> Floats:
@@ -320,6 +332,11 @@ def _resampled(heights: Floats, spacing_mm: float) -> tuple[Floats, float]:
     # Between something and nothing is what is nearer.
     inside = map_coordinates(solid.astype(float), at, order=1, mode="nearest") >= 0.5
     return np.where(inside, map_coordinates(filled, at, order=1, mode="nearest"), np.inf), coarse_mm
+
+
+def _encoded(heights_mm: Floats, step_mm: float) -> str:
+    codes = np.where(np.isfinite(heights_mm), np.round(np.minimum(heights_mm, 1e3) / step_mm), _NOTHING)
+    return base64.b64encode(zlib.compress(codes.astype("<u2").tobytes(), 9)).decode()
 
 
 @lru_cache(maxsize=16)
