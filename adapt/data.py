@@ -223,7 +223,7 @@ def network_inputs(
     """
     shown = INPUTS[profile.input]
     if shown.shows_displacement:
-        return NetworkInputs(Displacements(frames, profile.image_size_px, device))
+        return NetworkInputs(Displacements(frames, profile.image_size_px, profile.marker_span_mm, device))
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures)

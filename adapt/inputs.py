@@ -5,9 +5,12 @@ pictures, without labels. The calibrated input assumes that the indenter leaves 
 that faces +x, less that of the opposite one, is the domain's response to a slope along x.
 """
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import FiniteFloat
@@ -16,14 +19,16 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from gelgap.domains import LabelledFrames
+    from gelgap.domains.frames.marker_motion import MarkerTracker, ThinPlate
     from gelgap.domains.frames.paired_frames import PairedFrames
 
+LOG = logging.getLogger(__name__)
 _BATCH = 256
 # Of the largest singular value: directions of colour that hardly respond to a slope are not blown up to noise.
 _LEAST_RESPONSE = 0.1
 # A difference below this share of the range is noise; above it a pixel belongs to the dent.
 _LEAST_DIFFERENCE = 0.02
-_FLOW_PX, _LEAST_DOTS = 160, 1.0
+_MOST_LOST = 0.5
 
 
 class InputMap(NamedTuple):
@@ -124,41 +129,84 @@ INPUTS = {
 
 
 class Displacements:
-    """How far the markers of each frame have moved along x and y, (n, 2, h, w) in pixels of the network's picture.
+    """How far the membrane of each frame has moved along x and y, (n, 2, h, w) in mm.
 
-    A picture less the same picture with its markers inpainted shows these alone, whatever light falls on the gel. Their
-    motion from the reference is Farnebäck's dense flow.
+    Markers are found and matched in the stored pictures and interpolated on a grid of the gel, which is the same for
+    every sensor, whatever its pattern, camera and light (`gelgap.domains.frames.marker_motion`).
 
-    Raises a ValueError if the reference shows no markers.
+    Raises a ValueError if mm per pixel are not known, a reference shows no markers, or most pictures show other ones.
     """
 
-    def __init__(self, frames: "LabelledFrames", size_px: tuple[int, int], device: object) -> None:
-        import cv2
+    def __init__(
+        self, frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float], device: object
+    ) -> None:
         import torch
 
-        flow_px = _FLOW_PX, round(_FLOW_PX * size_px[1] / size_px[0])
-        reference = _only_markers(frames.references_at(flow_px), frames.references_at(flow_px, markers=False))
-        if reference.astype(float).std(axis=(1, 2)).min() < _LEAST_DOTS:
-            raise ValueError(
-                f"input markers: the reference of {frames.name} shows no markers; choose another input for this domain"
-            )
-        pictures = _only_markers(frames.images(flow_px), frames.images(flow_px, markers=False))
-        moved = np.empty((len(pictures), size_px[1], size_px[0], 2), np.float32)
-        for k, (picture, own) in enumerate(zip(pictures, frames.reference_id, strict=True)):
-            flow = np.zeros((*picture.shape, 2), np.float32)
-            cv2.calcOpticalFlowFarneback(reference[own], picture, flow, 0.5, 3, 21, 3, 7, 1.5, 0)
-            moved[k] = cv2.resize(flow, size_px, interpolation=cv2.INTER_AREA) * (size_px[0] / flow_px[0])
-        self._moved = torch.from_numpy(moved).to(device)
+        kept = _FIELDS.setdefault(frames, {})
+        if (size_px, span_mm) not in kept:
+            kept[size_px, span_mm] = _displacement_fields(frames, size_px, span_mm)
+        self._fields = torch.from_numpy(kept[size_px, span_mm]).to(device)
 
     def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
         """Return the displacements (B, 2, h, w) of these frames."""
-        return self._moved[rows].permute(0, 3, 1, 2)
+        return self._fields[rows].float().permute(0, 3, 1, 2)
 
     def __len__(self) -> int:
-        return len(self._moved)
+        return len(self._fields)
 
 
-def _only_markers(pictures: np.ndarray, without: np.ndarray) -> np.ndarray:
-    """Return the markers alone (n, h, w) uint8 of pictures (n, h, w, 3) and the same with their markers inpainted."""
-    difference = np.abs(pictures.astype(np.int16) - without).max(axis=3)
-    return np.minimum(2 * difference, 255).astype(np.uint8)
+# Every stage and evaluation of a run asks for them.
+_FIELDS: "WeakKeyDictionary[LabelledFrames, dict[object, np.ndarray]]" = WeakKeyDictionary()
+
+
+def _displacement_fields(
+    frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]
+) -> np.ndarray:
+    """Return displacements (n, h, w, 2) in mm, float16: to 0.2 µm of 0.5 mm."""
+    fields = np.zeros((len(frames), size_px[1], size_px[0], 2), np.float16)
+    unmatched = []
+    for number, (read, camera) in enumerate(zip(frames.rest_pictures, frames.cameras, strict=True)):
+        rows = np.flatnonzero(frames.reference_id == number)
+        if not len(rows):
+            continue
+        if camera is None:
+            raise ValueError(
+                f"input markers: mm per pixel of {frames.name} are not known; put a sensor.toml beside its pictures, a "
+                "sensor's own or with the line mm_per_px = 0.05"
+            )
+        reference = read()
+        try:
+            tracker, plate = _rest(reference.tobytes(), reference.shape, camera, size_px, span_mm)
+        except ValueError as error:
+            raise ValueError(
+                f"input markers: {frames.name}: {error}; choose another input for this domain"
+            ) from None
+        for row in rows:
+            moved_mm = tracker.displacement_mm(frames.picture(int(row)))
+            if np.isnan(moved_mm[:, 0]).mean() > _MOST_LOST:
+                unmatched.append(int(row))
+            fields[row] = plate(moved_mm)
+    if unmatched:
+        told = (
+            f"input markers: {frames.name}: in {len(unmatched)} of {len(frames)} pictures most markers of the "
+            f"reference are not found again; first: frame {min(unmatched)}"
+        )
+        if 2 * len(unmatched) > len(frames):
+            raise ValueError(f"{told}; is it a reference of this sensor?")
+        LOG.warning(told)
+    return fields
+
+
+@lru_cache(maxsize=16)
+def _rest(
+    reference: bytes,
+    shape: tuple[int, int, int],
+    camera: object,
+    size_px: tuple[int, int],
+    span_mm: tuple[float, float],
+) -> "tuple[MarkerTracker, ThinPlate]":
+    """Return what is made once for a reference, also where pictures come one by one."""
+    from gelgap.domains.frames.marker_motion import MarkerTracker, ThinPlate
+
+    tracker = MarkerTracker(np.frombuffer(reference, np.uint8).reshape(shape), camera)
+    return tracker, ThinPlate(tracker.rest_mm, size_px, span_mm)

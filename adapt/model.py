@@ -19,6 +19,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
 from gelgap.domains import FORCE_COLUMNS, ArrayFrames, LabelledFrames, Labels
+from gelgap.domains.frames.dataset import Camera
 
 _FORMAT = 2
 _INFERENCE_BATCH = 256
@@ -48,7 +49,8 @@ class ForceModel:
     labels are those it was trained on, with their ranges; size_px is the width and height of the pictures of the domain
     it is for, as stored, before they are reduced to the profile's; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
-    for, where the profile's input has one; correction is what a few labels added.
+    for, where the profile's input has one; correction is what a few labels added; camera took the pictures, where that
+    is known.
     """
 
     network: ForceNetwork
@@ -63,6 +65,7 @@ class ForceModel:
     history: tuple[dict[str, Any], ...] = field(default=())
     input_map: InputMap | None = None
     correction: AffineCorrection | None = None
+    camera: Camera | None = None
 
     @property
     def device(self) -> torch.device:
@@ -108,7 +111,8 @@ class ForceModel:
                 "squeezed one: crop picture and reference to that aspect"
             )
         unknown = {self.labels.names[0]: np.full(len(pictures), np.nan)}
-        predicted = self.predict_frames(ArrayFrames("these pictures", pictures, reference, None, **unknown))
+        frames = ArrayFrames("these pictures", pictures, reference, None, camera=self.camera, **unknown)
+        predicted = self.predict_frames(frames)
         return predicted if picture.ndim == 4 else predicted[0]
 
     def predict_frames(self, frames: LabelledFrames) -> np.ndarray:
@@ -159,6 +163,7 @@ class ForceModel:
             "history": list(self.history),
             "input_map": TypeAdapter(InputMap | None).dump_python(self.input_map, mode="json"),
             "correction": TypeAdapter(AffineCorrection | None).dump_python(self.correction, mode="json"),
+            "camera": TypeAdapter(Camera | None).dump_python(self.camera, mode="json"),
         }
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
             torch.save(content, file)
@@ -226,6 +231,7 @@ class ForceModel:
             history=tuple(content["history"]),
             input_map=shown,
             correction=correction,
+            camera=TypeAdapter(Camera | None).validate_python(content.get("camera")),
         )
 
 
@@ -266,7 +272,8 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     network = copy.deepcopy(model.network)
     estimate_statistics(network, frames, model.profile, model.seed)
     shown = input_map(frames, model.profile, model.device)
-    return replace(model, network=network, size_px=frames.size_px, input_map=shown)
+    camera = frames.cameras[0]
+    return replace(model, network=network, size_px=frames.size_px, input_map=shown, camera=camera)
 
 
 def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:

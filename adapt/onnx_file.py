@@ -62,7 +62,7 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
         )
     if INPUTS[model.profile.input].shows_displacement:
         raise ValueError(
-            f"input {model.profile.input}: markers and their flow are found outside the network, which ONNX cannot "
+            f"input {model.profile.input}: markers and their motion are found outside the network, which ONNX cannot "
             "hold; export a model of another input"
         )
     import onnx

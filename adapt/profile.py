@@ -11,6 +11,7 @@ from gelgap.adapt.own_code import RESNETS, use_backbone
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import PresetSettings
 
+Span = Annotated[float, Field(ge=1, le=150)]
 Side = Annotated[int, Field(ge=32)]
 
 
@@ -38,6 +39,10 @@ class Profile(PresetSettings):
     """contact and reference picture as 6 channels, one above the other, or their difference"""
     input: str = Field(default="pictures", json_schema_extra={"enum": list(INPUTS)})
     """what the network is shown of them: pictures (as paired), standardised, calibrated, grey, markers or pretrained"""
+    marker_span_mm: tuple[Span, Span] = Field(
+        default=(12.0, 9.0), exclude_if=lambda value: value == (12.0, 9.0)
+    )
+    """width and height of the gel, mm, that the input markers shows around the sensor's centre, 1 to 150"""
     batch_size: int = Field(default=32, ge=2, le=4096)
     """frames of each domain in a step"""
     source_epochs: int = Field(default=20, ge=1)

@@ -108,7 +108,14 @@ def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceM
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network = make_network(profile, source.n_classes, seed, len(source.labels)).to(device)
     return ForceModel(
-        network.eval(), profile, source.labels, source.n_classes, seed, source.name, source.size_px
+        network.eval(),
+        profile,
+        source.labels,
+        source.n_classes,
+        seed,
+        source.name,
+        source.size_px,
+        camera=source.cameras[0],
     )
 
 
@@ -160,6 +167,7 @@ def adapt(
         profile=profile,
         seed=seed,
         size_px=target.size_px,
+        camera=target.cameras[0],
         target=target.name,
         method=method,
         input_map=input_map(target, profile, model.device),

@@ -9,7 +9,16 @@ from typing import Any
 
 from gelgap.assets.names import unknown_name
 
-PRESET_KINDS = ("elastomers", "indenters", "paths", "illuminations", "sensors", "datasets", "profiles")
+PRESET_KINDS = (
+    "elastomers",
+    "indenters",
+    "paths",
+    "illuminations",
+    "sensors",
+    "markers",
+    "datasets",
+    "profiles",
+)
 
 
 def asset_path(*parts: str) -> Path:

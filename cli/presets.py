@@ -24,7 +24,7 @@ class Presets(opt.Command):
     """
 
     kind: Annotated[tyro.conf.Positional[str | None], opt.optional("[KIND]", "all"), list_presets] = None
-    """One of elastomers, indenters, paths, illuminations, sensors, datasets and profiles."""
+    """One of elastomers, indenters, paths, illuminations, sensors, markers, datasets and profiles."""
 
     def run(self, started: float) -> None:
         """Print a line for each preset, its name and description, and for one kind a line with its values."""

@@ -8,15 +8,15 @@ import numpy as np
 from gelgap.render.rasterizer import NOWHERE_MM
 from gelgap.render.sensor import LARGEST_PITCH_MM, Markers, marker_rest_mm
 
-# Cells of a list of markers: by the width of a marker, so that those that touch lose 2 % of their area at most, and at
-# most along the list's longer side.
+# Cells of markers that are no grid: by the width of a marker, so that those that touch lose 2 % of their area at
+# most, and at most along the longer side.
 _CELLS_PER_MARKER, _MOST_CELLS = 16, 1000
 
 
 class MarkerCells(NamedTuple):
     """The undeformed membrane in cells, each with the only marker that it may show; a missing one is far away.
 
-    The cell of a point is `first` + `per_mm` × (x, y), rounded down. A marker of a grid has one cell, of a list many.
+    The cell of a point is `first` + `per_mm` × (x, y), rounded down. A marker of a grid has one cell, any other many.
     Beyond `reach_mm` from its centre a marker covers nothing.
     """
 
@@ -33,7 +33,7 @@ def marker_cells(markers: Markers) -> MarkerCells | None:
     rest_mm = marker_rest_mm(markers)
     if np.isnan(rest_mm).all():
         return None
-    if markers.positions_mm:
+    if markers.positions_mm or markers.layout != "grid":
         centers_mm, first, per_mm = _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
     else:
         centers_mm, per_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM), 1 / np.broadcast_to(markers.pitch_mm, 2)

@@ -1,13 +1,16 @@
 """A sensor: camera, coating and markers, and, where it has its own, the LEDs; one readable TOML file each."""
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import tomli_w
+from numpy.typing import ArrayLike
 from pydantic import (
+    BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
@@ -49,10 +52,16 @@ Place = Annotated[float, Field(ge=-50, le=50)]
 _GRID = ("columns", "rows", "pitch_mm", "offset_mm", "missing")
 
 
-class Markers(Settings):
-    """Printed markers, given in rest coordinates, so that they move and stretch with the membrane: a grid or a list."""
+class Markers(PresetSettings):
+    """Printed markers, given in rest coordinates, so that they move and stretch with the membrane: a pattern or a list.
 
-    layout: Literal["grid", "none"] = "grid"
+    Patterns have one marker for each square of a pitch, and fill the same field, so that a layout may be changed alone:
+    a `grid`; a grid turned by 45°, `diamond`; rings a pitch apart around the middle, of 6, 12, 18 … markers, `circles`.
+    """
+
+    preset_kind: ClassVar[str] = "markers"
+
+    layout: Literal["grid", "diamond", "circles", "none"] = "grid"
     columns: int = Field(default=11, ge=1, le=200)
     rows: int = Field(default=8, ge=1, le=200)
     pitch_mm: Annotated[Pitch | tuple[Pitch, Pitch], WrapValidator(_one_or_two)] = Field(
@@ -87,11 +96,14 @@ class Markers(Settings):
                     f"missing = ({row}, {column}): must be a row in 0…{self.rows - 1} and a column in "
                     f"0…{self.columns - 1}"
                 )
+        if self.missing and self.layout != "grid":
+            raise ValueError(f"layout = {self.layout!r}: has no rows and columns; leave out missing")
         if self.layout != "none" and self.jitter_mm > (self.spacing_mm - self.diameter_mm) / 2:
             least_mm, which = self.diameter_mm + 2 * self.jitter_mm, f"pitch_mm = {self.pitch_mm}"
             if self.positions_mm:
                 which = " and ".join(
-                    f"positions_mm.{k} = {self.positions_mm[k]}" for k in _closest_pair(self)[1:]
+                    f"positions_mm.{k} = {self.positions_mm[k]}"
+                    for k in _closest_pair(self.positions_mm, self.norm)[1:]
                 )
             raise ValueError(
                 f"{which}: markers are {self.spacing_mm:.3g} mm apart; diameter_mm + 2 jitter_mm, {least_mm:.3g} mm, "
@@ -115,7 +127,9 @@ class Markers(Settings):
     @property
     def spacing_mm(self) -> float:
         """The least distance between the centres of two markers, before any jitter; infinite for a list of one."""
-        return _closest_pair(self)[0] if self.positions_mm else float(np.min(self.pitch_mm))
+        if self.layout == "grid" and not self.positions_mm:
+            return float(np.min(self.pitch_mm))
+        return _closest_pair(_regular_mm(self)[0], self.norm)[0]
 
     @property
     def norm(self) -> float:
@@ -132,36 +146,57 @@ class Markers(Settings):
                 )
 
 
-def _closest_pair(markers: Markers) -> tuple[float, int, int]:
-    """Return the least distance between two listed markers, and their indices; infinite for one marker."""
+def _closest_pair(positions_mm: ArrayLike, norm: float) -> tuple[float, int, int]:
+    """Return the least distance between two markers (n, 2), and their indices; infinite for one marker."""
     from scipy.spatial import cKDTree
 
-    distances, neighbours = cKDTree(markers.positions_mm).query(markers.positions_mm, k=2, p=markers.norm)
+    distances, neighbours = cKDTree(positions_mm).query(positions_mm, k=2, p=norm)
     one = int(distances[:, 1].argmin())
     other = neighbours[one, 0] if neighbours[one, 1] == one else neighbours[one, 1]
     return float(distances[one, 1]), one, int(other)
 
 
+def _regular_mm(markers: Markers) -> np.ndarray:
+    """Return (rows, columns, 2) places of a grid, (1, n, 2) of another pattern or a list, before jitter and gaps."""
+    if markers.positions_mm:
+        return np.array([markers.positions_mm])
+    sides = np.array([markers.columns, markers.rows])
+    column, row = (np.arange(n) - (n - 1) / 2 for n in sides)
+    places = np.stack(np.meshgrid(column, row), axis=-1)
+    if markers.layout != "grid":
+        reach = math.ceil(np.hypot(*sides))
+        steps = np.arange(-reach, reach + 1)
+        if markers.layout == "diamond":
+            i, j = map(np.ravel, np.meshgrid(steps, steps))
+            wide = np.stack([i - j, i + j], axis=1) / math.sqrt(2)
+        else:
+            rings = [np.arange(6 * k) * np.pi / (3 * k) for k in range(1, reach + 1)]
+            radii = np.repeat(np.arange(1, reach + 1), 6 * np.arange(1, reach + 1))
+            angles = np.concatenate(rings)
+            wide = np.vstack([(0, 0), np.stack([np.cos(angles), np.sin(angles)], axis=1) * radii[:, None]])
+        places = wide[(np.abs(wide) <= (sides - 0.5) / 2).all(axis=1)][None]
+    return places * np.broadcast_to(markers.pitch_mm, 2) + markers.offset_mm
+
+
 def marker_rest_mm(markers: Markers) -> np.ndarray:
     """Return (rows, columns, 2) rest positions of the markers; a missing marker is NaN.
 
-    A list of positions is one row. Layout `none` gives (0, 0, 2).
+    Those of a list, or of another pattern than a grid, are one row. Layout `none` gives (0, 0, 2).
     """
     if markers.layout == "none":
         return np.zeros((0, 0, 2))
-    if markers.positions_mm:
-        positions = np.array([markers.positions_mm])
-    else:
-        pitch_x, pitch_y = np.broadcast_to(markers.pitch_mm, 2)
-        column = (np.arange(markers.columns) - (markers.columns - 1) / 2) * pitch_x
-        row = (np.arange(markers.rows) - (markers.rows - 1) / 2) * pitch_y
-        positions = np.stack(np.meshgrid(column, row), axis=-1) + markers.offset_mm
+    positions = _regular_mm(markers)
     rng = np.random.default_rng(markers.seed)
     positions += rng.uniform(-1, 1, positions.shape) * markers.jitter_mm
     positions[rng.random(positions.shape[:2]) < markers.missing_fraction] = np.nan
     for row, column in markers.missing:
         positions[row, column] = np.nan
     return positions
+
+
+def _preset_or_own(value: Any) -> Any:
+    """Return the markers of a preset's name, so that a sensor's file and a factor of a sweep may name one."""
+    return Markers.preset(value) if isinstance(value, str) else value
 
 
 class Sensor(PresetSettings):
@@ -175,7 +210,7 @@ class Sensor(PresetSettings):
     assumed: str = Field(default="", description="what is assumed")
     camera: Camera = Camera()
     coating: Coating = Coating()
-    markers: Markers = Markers()
+    markers: Annotated[Markers, BeforeValidator(_preset_or_own)] = Markers()
     illumination: Illumination | None = Field(default=None, description="the sensor's own LEDs")
     # Left out where there is none, so that recipes without it keep their hashes.
     flat_field: FlatField | None = Field(

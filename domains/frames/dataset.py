@@ -20,6 +20,7 @@ from gelgap.domains.frames.labels import (
     known_labels,
     usual_labels,
 )
+from gelgap.render import Camera
 
 if TYPE_CHECKING:
     from torch import device as Device
@@ -75,11 +76,14 @@ class LabelledFrames(ABC):
         How many frames were left out because the simulation did not converge.
     rest_pictures
         Functions that read the reference pictures (h, w, 3), one or several.
+    cameras
+        The camera of each reference picture, which says how many mm a pixel shows; None where that is not known.
     """
 
     name: str
     columns: dict[str, np.ndarray]
     rest_pictures: Sequence[Callable[[], np.ndarray]]
+    cameras: Sequence[Camera | None] = (None,)
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
     declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
@@ -312,6 +316,8 @@ class ArrayFrames(LabelledFrames):
         (n, 3) N, or None where the labels are among the columns, or there are none.
     force_range_n, n_classes
         As in `LabelledFrames`.
+    camera
+        The camera that took them, where it is known.
     contact_class, point_id, **columns
         What else is known of each frame, (n,) each: `fz_n` (NaN: unlabelled), `x_mm`, `clip`, `split`, ….
 
@@ -332,9 +338,10 @@ class ArrayFrames(LabelledFrames):
         *,
         force_range_n: np.ndarray = LabelledFrames.force_range_n,
         n_classes: int = CONTACT_CLASSES,
+        camera: Camera | None = None,
         **columns: np.ndarray,
     ):
-        self.name, self.n_classes = name, n_classes
+        self.name, self.n_classes, self.cameras = name, n_classes, (camera,)
         self.force_range_n = np.asarray(force_range_n, float)
         self._images = images
         self.rest_pictures = [partial(np.asarray, reference)]
@@ -388,7 +395,8 @@ class DerivedFrames(LabelledFrames):
         n_classes: int | None = None,
     ):
         self.whole, self.columns, self._change, self._indices = whole, columns, change, indices
-        self.name, self.notes, self.rest_pictures = whole.name, whole.notes, whole.rest_pictures
+        self.name, self.notes = whole.name, whole.notes
+        self.rest_pictures, self.cameras = whole.rest_pictures, whole.cameras
         self._reduced_references = whole._reduced_references
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
         self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels

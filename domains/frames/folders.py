@@ -15,6 +15,7 @@ import numpy as np
 from gelgap.assets.checksums import sha256
 from gelgap.assets.image_file import SUFFIXES
 from gelgap.assets.names import stays_inside
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames
 from gelgap.domains.frames.joined import join_domains
@@ -26,7 +27,10 @@ from gelgap.domains.frames.labels import (
 )
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import known_columns, plain_name
+from gelgap.render import Camera, Sensor
 
+SENSOR_FILE = "sensor.toml"
+"""Says of a folder of pictures how many mm a pixel shows."""
 PUBLISHED_REFERENCE = "ref.jpg"
 # All frames of the published parts once more, in one folder.
 UNSPLIT = "ori"
@@ -132,6 +136,7 @@ class PictureFiles(StoredFrames):
 
     It has one rest picture or several, of which the column `reference_id` says which is a frame's own. The digest is
     made from names, sizes and times of change of the pictures and of `further_files`: tables and rest pictures.
+    A file `sensor.toml` beside them is a sensor's, or has one line, such as `mm_per_px = 0.05`.
     """
 
     def __init__(
@@ -154,11 +159,28 @@ class PictureFiles(StoredFrames):
         stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
         return sha256(repr(stats).encode())
 
+    @cached_property
+    def cameras(self) -> list[Camera | None]:
+        file = self.folder / SENSOR_FILE
+        camera = _camera_of(file, self.size_px[0]) if file.exists() else None
+        return [camera] * len(self.rest_pictures)
+
     def encoded_picture(self, index: int) -> bytes:
         return self.picture_paths[index].read_bytes()
 
     def place_of(self, index: int) -> str:
         return str(self.picture_paths[index].relative_to(self.folder))
+
+
+def _camera_of(file: Path, width_px: int) -> Camera:
+    """Return the camera of a sensor's file, or the one whose pixels show so many mm."""
+    values = read_toml(file)
+    if set(values) != {"mm_per_px"}:
+        return Sensor.load(file).camera
+    with named_in_errors(file):
+        if not isinstance(scale := values["mm_per_px"], float | int) or not scale > 0:
+            raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
+        return Camera.showing(width_px * scale)
 
 
 def _is_published(folder: Path) -> bool:
@@ -230,7 +252,8 @@ def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
         if others := Counter(
             "folders" if path.is_dir() else path.suffix.lower()
             for path in files
-            if path.suffix.lower() not in SUFFIXES and path.name not in (IMAGES, "Thumbs.db", "desktop.ini")
+            if path.suffix.lower() not in SUFFIXES
+            and path.name not in (IMAGES, SENSOR_FILE, "Thumbs.db", "desktop.ini")
         ):
             kinds = ", ".join(f"{count} {kind or 'others'}" for kind, count in others.items())
             notes.append(f"not read, beside {len(paths)} pictures without a table: {kinds}")

@@ -24,6 +24,7 @@ from gelgap.domains.frames.dataset import LabelledFrames
 
 if TYPE_CHECKING:
     from gelgap.domains.recipe import DomainRecipe
+    from gelgap.render import Camera
 
 LOG = logging.getLogger(__name__)
 PICTURES = "images"
@@ -222,6 +223,10 @@ class GeneratedDomain(StoredFrames):
         from gelgap.sim.traction import COARSE_SHAPE
 
         return self.optional("traction", index).reshape(*COARSE_SHAPE, 3)
+
+    @cached_property
+    def cameras(self) -> "tuple[Camera]":
+        return (self.recipe.sensor.camera,)
 
     @cached_property
     def recipe(self) -> "DomainRecipe":

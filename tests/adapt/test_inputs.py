@@ -8,6 +8,7 @@ from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs
 from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
 from gelgap.domains import ArrayFrames
+from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
 
@@ -85,25 +86,50 @@ def test_a_network_is_trained_on_it_adapted_and_kept(tmp_path, name):
     np.testing.assert_array_equal(loaded.predict_n(target), adapted.predict_n(target))
 
 
-def test_displacement_is_how_far_the_dots_have_moved(monkeypatch):
-    """Dark dots on a bright gel whose light changes; all dots move by 3 px of 160, a picture of 64 by 1.2."""
+def dotted(shifts_px: list[float], pitch_px: int = 20) -> np.ndarray:
+    """Return pictures (n, 120, 160, 3) of dark dots that have all moved along x, under a light that changes."""
     y, x = np.mgrid[:120, :160]
+    pictures = []
+    for number, shift in enumerate(shifts_px):
+        dots = np.cos(2 * np.pi * (x - shift) / pitch_px) + np.cos(2 * np.pi * y / pitch_px)
+        shade = (1.2 - dots).clip(-0.2, 0.2) * 2.5 + 0.5
+        pictures.append((30 + (120 + 15 * number) * shade)[..., None].repeat(3, axis=2))
+    return np.stack(pictures).astype(np.uint8)
 
-    def picture(shift: float, light: float) -> np.ndarray:
-        dots = (np.cos(2 * np.pi * (x - shift) / 20) + np.cos(2 * np.pi * y / 20)) > 1.2
-        return np.where(dots, 40, 150 * light)[..., None].repeat(3, axis=2).astype(np.uint8)
 
-    images = np.stack([picture(0, 1.0), picture(3, 1.2), picture(-3, 0.8)])
-    monkeypatch.setattr(
-        "gelgap.domains.frames.dataset.without_markers", lambda image: np.full_like(image, image.max())
+def test_displacement_is_how_far_the_dots_have_moved_in_mm_whatever_their_pitch(caplog):
+    camera = Camera.showing(12.0)  # 0.075 mm per pixel
+    for pitch_px in (16, 20):
+        images = dotted([0, 3, -3], pitch_px)
+        frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)), camera=camera)
+        moved = Displacements(frames, SIZE_PX, (12.0, 9.0), "cpu").inputs(np.arange(3)).numpy()
+        middle = moved[:, :, 12:-12, 15:-15]
+        np.testing.assert_allclose(middle[:, 0].mean(axis=(1, 2)), [0, 0.225, -0.225], atol=0.005)
+        np.testing.assert_allclose(middle[:, 1], 0, atol=0.01)
+    assert "input markers" not in caplog.text
+    images[1] = 150
+    Displacements(
+        ArrayFrames("bare", images, images[0], np.zeros((3, 3)), camera=camera), SIZE_PX, (12.0, 9.0), "cpu"
     )
-    frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)))
-    moved = Displacements(frames, SIZE_PX, "cpu").inputs(np.arange(3)).numpy()[:, :, 10:-10, 15:-15]
-    np.testing.assert_allclose(moved[:, 0].mean(axis=(1, 2)), [0, 1.2, -1.2], atol=0.25)
-    np.testing.assert_allclose(moved[:, 1].mean(axis=(1, 2)), 0, atol=0.1)
-    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image)
-    with pytest.raises(ValueError, match="the reference of dots shows no markers"):
-        Displacements(ArrayFrames("dots", images, images[0], np.zeros((3, 3))), SIZE_PX, "cpu")
+    assert "of bare" not in caplog.text
+    assert "bare: in 1 of 3 pictures most markers of the reference are not found again" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("camera", "changes", "message"),
+    [
+        (None, {}, "mm per pixel of dots are not known; put a sensor.toml beside its pictures"),
+        (Camera(), {0: 150}, "dots: the reference shows 0 markers; .* choose another input"),
+        (Camera(), {1: 150, 2: 150}, "dots: in 2 of 3 pictures most .* first: frame 1; is it a reference"),
+    ],
+)
+def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
+    images = dotted([0, 3, -3])
+    for number, level in changes.items():
+        images[number] = level
+    frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)), camera=camera)
+    with pytest.raises(ValueError, match=f"input markers: .*{message}"):
+        Displacements(frames, SIZE_PX, (12.0, 9.0), "cpu")
 
 
 @pytest.mark.parametrize(

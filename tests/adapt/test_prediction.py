@@ -23,6 +23,7 @@ from gelgap.adapt import (
 from gelgap.adapt.model import AffineCorrection
 from gelgap.adapt.prediction import range_note
 from gelgap.domains import ArrayFrames, Labels
+from gelgap.render import Illumination, MembraneRenderer, Sensor
 
 INPUTS = [
     *({"pairing": pairing} for pairing in ("difference", "stack")),
@@ -70,26 +71,28 @@ def test_a_picture_is_predicted_as_a_data_sets_frame_and_by_the_onnx_file(
     assert (facts["units"], facts["method"], facts["width_px"]) == ('["N", "N", "N"]', "source-only", "40")
 
 
-def test_dots_are_found_and_followed_or_the_picture_is_refused(
-    source, target, profile, monkeypatch, tmp_path
-):
-    """Pictures of 40×32 px are too small for the detection: here a dot is what is dark."""
-    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image.clip(90, 255))
-    frames = enlarged(enlarged(target).take(np.arange(32)))
-    dotted = frames.reference.copy()
-    dotted[60:90, 60:90] = 20
-    frames = ArrayFrames("dots", frames.images(), dotted, frames.force_n)
+def test_dots_are_found_and_followed_or_the_picture_is_refused(profile, tmp_path):
+    """A model keeps the camera that it is for, whose pictures may come in another size."""
+    rng, sensor = np.random.default_rng(0), Sensor(markers="array-1")
+    render = MembraneRenderer(sensor, Illumination.preset("i0"), (160, 120), "draft")
+    x_mm, y_mm = np.linspace(-7, 7, 29), np.linspace(-5.5, 5.5, 23)
+    moved = np.zeros((8, 23, 29, 3))
+    moved[..., 0] = rng.uniform(-0.3, 0.3, (8, 1, 1))
+    images = np.stack([render.picture(x_mm, y_mm, one) for one in moved])
+    force_n = np.pad(moved[:, 0, 0, :1], ((0, 0), (0, 2)))
+    frames = ArrayFrames("dots", images, render.reference(), force_n, camera=sensor.camera)
     model = train_source(frames, profile.replace(source_epochs=1, input="markers"))
+    model.save(tmp_path / "model.pt")
+    model = ForceModel.load(tmp_path / "model.pt")
     np.testing.assert_allclose(
-        model.predict(frames.images()[5], frames.reference), model.predict_frames(frames)[5], atol=1e-6
+        model.predict(images[5], frames.reference), model.predict_frames(frames)[5], atol=1e-6
     )
-    with pytest.raises(
-        ValueError, match="input markers: markers and their flow are found outside the network"
-    ):
+    with pytest.raises(ValueError, match="input markers: markers and their motion are found outside the net"):
         export_onnx(model, tmp_path / "model.onnx")
-    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image)
-    with pytest.raises(ValueError, match="the reference of these pictures shows no markers"):
-        model.predict(frames.images()[5], frames.reference)
+    with pytest.raises(ValueError, match="input markers: these pictures: the reference shows 0 markers"):
+        model.predict(images[5], render.reference(markers=False))
+    with pytest.raises(ValueError, match="in 1 of 1 pictures most markers of the reference are not found"):
+        model.predict(render.reference(markers=False), frames.reference)
 
 
 @pytest.mark.parametrize(
