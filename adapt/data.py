@@ -20,7 +20,9 @@ from gelgap.domains import LabelledFrames, split_domains, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.paired_frames import PairedFrames
 from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
+from gelgap.domains.frames.splits import DomainSplit
 
+TRAJECTORY, STEP = "trajectory_id", "step"
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
 FRAMES_SHOWN = 400
@@ -88,7 +90,7 @@ def split_for_training(
     ------
     ValueError
         If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
-        wrong, or fewer than two target frames can be trained on.
+        wrong, fewer than two target frames can be trained on, or sequences are not possible (`check_sequences`).
     """
     labelled, target, names = labelled_for_run(source, target, labels)
     is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
@@ -102,6 +104,7 @@ def split_for_training(
         profile.stratify_by,
         is_labelled,
     )
+    check_sequences((labelled, target), split, profile)
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
@@ -194,14 +197,82 @@ def hidden_batches(n: int, share: float, *key: int) -> np.ndarray:
     return generator(Draw.MARKERS, *key).random(n) < share
 
 
-class NetworkInputs:
-    """The pictures of a domain as a network is shown them, on the device, a batch at a time."""
+def _trajectory_of(frames: LabelledFrames) -> np.ndarray:
+    """Return the number of each frame's trajectory (n,), which is of one sensor; a ValueError where it is not known."""
+    for name in (TRAJECTORY, STEP):
+        if name not in frames.columns:
+            raise ValueError(
+                f"data set {frames.name} has no column {name}: sequence_length above 1 needs {TRAJECTORY} and {STEP} "
+                "of each frame"
+            )
+    keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY]], axis=1)
+    return np.unique(keys, axis=0, return_inverse=True)[1]
 
-    def __init__(self, pictures: PairedFrames | Displacements, input_map: InputMap | None = None) -> None:
-        self.pictures, self.map = pictures, input_map
+
+def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
+    """Return for each frame the rows (n, length) of its trajectory up to it, by step, the frame itself last.
+
+    Before a trajectory its first frame is repeated: no window crosses from one into another.
+    """
+    trajectory, n = _trajectory_of(frames), np.arange(len(frames))
+    order = np.lexsort([frames.columns[STEP], trajectory])
+    begins = np.append(True, np.diff(trajectory[order]) != 0)
+    first = np.maximum.accumulate(np.where(begins, n, 0))
+    places = np.maximum(n[:, None] - np.arange(length)[::-1], first[:, None])
+    windows = np.empty((len(frames), length), np.int64)
+    windows[order] = order[places]
+    return windows
+
+
+def check_sequences(domains: Sequence[LabelledFrames], split: DomainSplit, profile: Profile) -> None:
+    """Check that trajectories are known, one is as long as a sequence, and none is divided by the split.
+
+    Raises
+    ------
+    ValueError
+        If one of this is not so; the message names data set and trajectory.
+    """
+    if profile.sequence_length == 1:
+        return
+    for frames, parts in zip(domains, (split[:2], split[2:]), strict=True):
+        trajectory = _trajectory_of(frames)
+        longest = int(np.bincount(trajectory).max())
+        if longest < profile.sequence_length:
+            raise ValueError(
+                f"sequence_length = {profile.sequence_length}: the longest trajectory of {frames.name} has {longest} "
+                f"frames; it must be 1 to {longest}"
+            )
+        seen = np.concatenate([np.unique(trajectory[rows]) for rows in parts])
+        if len(divided := np.flatnonzero(np.bincount(seen) > 1)):
+            number = frames.columns[TRAJECTORY][trajectory == divided[0]][0]
+            raise ValueError(
+                f"split_by = {profile.split_by!r} divides trajectory {number} of {frames.name}; a sequence needs it "
+                f"whole: set split_by to point or {TRAJECTORY}"
+            )
+
+
+class NetworkInputs:
+    """The pictures of a domain as a network is shown them, on the device, a batch at a time.
+
+    `windows` (n, length) are the rows of each frame's sequence; None shows the frame alone.
+    """
+
+    def __init__(
+        self,
+        pictures: PairedFrames | Displacements,
+        input_map: InputMap | None = None,
+        windows: Tensor | None = None,
+    ) -> None:
+        self.pictures, self.map, self.windows = pictures, input_map, windows
 
     def inputs(self, rows: np.ndarray | Tensor) -> Tensor:
-        """Return inputs (B, C, h, w) float32 of these frames."""
+        """Return inputs (B, C, h, w) float32 of these frames; the frames of a sequence along C, the oldest first."""
+        if self.windows is None:
+            return self._of_frames(rows)
+        own = self.windows[torch.as_tensor(rows, device=self.windows.device)]
+        return self._of_frames(own.flatten()).unflatten(0, own.shape).flatten(1, 2)
+
+    def _of_frames(self, rows: np.ndarray | Tensor) -> Tensor:
         paired = self.pictures.inputs(rows)
         return paired if self.map is None else self.map(paired)
 
@@ -221,13 +292,16 @@ def network_inputs(
     Where its input has a map for each domain, it is the given one, or else that of these frames. Without `markers` the
     markers are inpainted.
     """
-    shown = INPUTS[profile.input]
+    shown, windows = INPUTS[profile.input], None
+    if profile.sequence_length > 1:
+        windows = torch.from_numpy(windows_of(frames, profile.sequence_length)).to(device)
     if shown.shows_displacement:
-        return NetworkInputs(Displacements(frames, profile.image_size_px, profile.marker_span_mm, device))
+        moved = Displacements(frames, profile.image_size_px, profile.marker_span_mm, device)
+        return NetworkInputs(moved, windows=windows)
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
-        return NetworkInputs(pictures)
-    return NetworkInputs(pictures, input_map or shown.fit(pictures))
+        return NetworkInputs(pictures, windows=windows)
+    return NetworkInputs(pictures, input_map or shown.fit(pictures), windows)
 
 
 def normalised_labels(frames: LabelledFrames) -> np.ndarray:

@@ -110,7 +110,8 @@ def fine_tune(
     Raises
     ------
     ValueError
-        If there are no frames, a label is outside the model's range, or the model has an affine correction.
+        If there are no frames, a label is outside the model's range, the model has an affine correction or
+        is of sequences.
     TrainingDiverged
         If the loss is no longer finite.
     """
@@ -118,6 +119,10 @@ def fine_tune(
     if model.correction is not None:
         raise ValueError(
             "a model with an affine correction cannot be fine-tuned: fine-tune first, then correct"
+        )
+    if model.profile.sequence_length > 1:
+        raise ValueError(
+            "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
         )
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.input_map)

@@ -45,6 +45,8 @@ class Activations:
 class ForceNetwork(nn.Module):
     """Backbone → Linear + ReLU (the transfer feature) → Linear + Sigmoid (labels) and Linear (contact class).
 
+    Where the profile shows sequences, a GRU reads the backbone's features of their frames, and its last state goes on.
+
     The classifier has no ReLU: in front of cross-entropy it would stop the gradient of every negative
     true-class logit.
     """
@@ -56,9 +58,11 @@ class ForceNetwork(nn.Module):
             self.backbone = OwnBackbone(profile.backbone, profile.input_shape)
         else:
             self.backbone = ResNet(profile.backbone, profile.in_channels, profile.width)
-        self.bottleneck = nn.Sequential(
-            nn.Linear(self.backbone.out_features, profile.feature_dim), nn.ReLU(inplace=True)
-        )
+        self.sequence_length, out_features = profile.sequence_length, self.backbone.out_features
+        if self.sequence_length > 1:
+            self.recurrent = nn.GRU(out_features, profile.feature_dim, batch_first=True)
+            out_features = profile.feature_dim
+        self.bottleneck = nn.Sequential(nn.Linear(out_features, profile.feature_dim), nn.ReLU(inplace=True))
         self.regressor = nn.Sequential(nn.Linear(profile.feature_dim, n_labels), nn.Sigmoid())
         self.classifier = nn.Linear(profile.feature_dim, n_classes)
 
@@ -68,8 +72,16 @@ class ForceNetwork(nn.Module):
         return self.classifier.weight.device
 
     def features(self, pictures: Tensor) -> Tensor:
-        """Return the transfer features (B, D) of network inputs (B, channels, h, w)."""
-        return self.bottleneck(self.backbone(pictures))
+        """Return the transfer features (B, D) of network inputs (B, channels, h, w).
+
+        The frames of a sequence are one after the other along the channels, the oldest first.
+        """
+        if self.sequence_length == 1:
+            return self.bottleneck(self.backbone(pictures))
+        frames = pictures.unflatten(1, (self.sequence_length, -1)).flatten(0, 1)
+        of_frames = self.backbone(frames.contiguous(memory_format=torch.channels_last))
+        states, _ = self.recurrent(of_frames.unflatten(0, (-1, self.sequence_length)))
+        return self.bottleneck(states[:, -1])
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Return the normalised labels (B, k) in [0, 1]."""

@@ -65,6 +65,11 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
             f"input {model.profile.input}: markers and their motion are found outside the network, which ONNX cannot "
             "hold; export a model of another input"
         )
+    if model.profile.sequence_length > 1:
+        raise ValueError(
+            f"sequence_length = {model.profile.sequence_length}: the ONNX file holds networks of single pictures; "
+            "export a model with sequence_length = 1"
+        )
     import onnx
 
     (width, height), names = model.profile.image_size_px, model.labels.names

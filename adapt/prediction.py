@@ -1,5 +1,6 @@
 """Predictions for pictures in files or from a camera, with a note where a prediction is not to be trusted."""
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -19,14 +20,28 @@ def predict_each(
 ) -> Iterator[dict[str, object]]:
     """Yield a row for each picture: its name as `picture`, the labels by name, each in its unit, and a `note`.
 
+    A model of sequences takes the pictures of a folder, or of a camera, as one trajectory in the order given.
+
     Raises
     ------
     ValueError
         If a picture cannot be predicted (see `ForceModel.predict`); the message names it.
     """
+    clip, latest = None, deque(maxlen=model.profile.sequence_length)
     for name, picture in pictures:
+        if clip != Path(name).parent:
+            clip = Path(name).parent
+            latest.clear()
+        latest.append(picture)
         try:
-            predicted = model.predict(picture, reference)
+            if latest[0].shape != picture.shape:
+                raise ValueError("it has another size than the picture before it in its folder")
+            single = latest.maxlen == 1
+            predicted = (
+                model.predict(picture, reference)
+                if single
+                else model.predict(np.stack(latest), reference)[-1]
+            )
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))

@@ -43,6 +43,9 @@ class Profile(PresetSettings):
         default=(12.0, 9.0), exclude_if=lambda value: value == (12.0, 9.0)
     )
     """width and height of the gel, mm, that the input markers shows around the sensor's centre, 1 to 150"""
+    sequence_length: int = Field(default=1, ge=1, le=16, exclude_if=lambda value: value == 1)
+    """how many frames of a trajectory, up to the one that is labelled, the network is shown, 1 to 16; its first frame
+    is repeated before it"""
     batch_size: int = Field(default=32, ge=2, le=4096)
     """frames of each domain in a step"""
     source_epochs: int = Field(default=20, ge=1)
@@ -138,12 +141,12 @@ class Profile(PresetSettings):
 
     @property
     def in_channels(self) -> int:
-        """Channels of the network's input."""
+        """Channels of one frame of the network's input."""
         return INPUTS[self.input].channels or (6 if self.pairing == "channels" else 3)
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
-        """Channels, height and width of the network's input."""
+        """Channels, height and width of one frame of the network's input."""
         width, height = self.image_size_px
         return self.in_channels, height * (2 if self.pairing == "stack" else 1), width
 

@@ -102,7 +102,7 @@ def test_random_poses_follow_their_seed_and_ranges() -> None:
     assert max(pose.angle_deg for pose in path.poses) > 270
 
 
-@pytest.mark.parametrize("name", ["loops", "random"])
+@pytest.mark.parametrize("name", ["loops", "manoeuvres", "random"])
 def test_presets_that_list_poses(name: str) -> None:
     assert len(load_path(name).poses) > 10
     with pytest.raises(ValueError, match="not a grid"):
