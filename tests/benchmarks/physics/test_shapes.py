@@ -80,4 +80,5 @@ def test_a_ring_shaped_punch_is_near_its_table(coarse: None) -> None:
     [state] = solved.states
     share = state.diagnostics.fz_error_n / -state.force_n[2]
     assert found["Fz worst %"] / 200 < share < 0.04
-    assert max(found["u_z rms µm"], found["in-plane rms µm"]) < 8
+    # A mesh half as fine as `draft`, which has 8 µm.
+    assert max(found["u_z rms µm"], found["in-plane rms µm"]) < 14
