@@ -27,7 +27,8 @@ def predict_each(
     ValueError
         If a picture cannot be predicted (see `ForceModel.predict`); the message names it.
     """
-    clip, latest = None, deque(maxlen=model.profile.sequence_length)
+    clip: Path | None = None
+    latest: deque[np.ndarray] = deque(maxlen=model.profile.sequence_length)
     for name, picture in pictures:
         if clip != Path(name).parent:
             clip = Path(name).parent

@@ -364,13 +364,12 @@ def _parts(tables: Any, folder: Path) -> list[tuple[Indenter, Place]]:
     """Return the bodies of tables [[parts]], and where each is."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ValueError("parts: must be tables [[parts]], each of a body and its at_mm")
-    placed = []
+    placed: list[tuple[Indenter, Place]] = []
     for number, table in enumerate(tables, 1):
         own = dict(table)
         place = own.pop("at_mm", [0.0, 0.0])
         try:
-            x, y, *z = (float(place_mm) for place_mm in place)
-            (z,) = z or (0.0,)
+            x, y, z = (float(place_mm) for place_mm in ([*place, 0.0] if len(place) == 2 else place))
         except (TypeError, ValueError):
             raise ValueError(f"at_mm = {place!r} of part {number}: must be two or three numbers") from None
         if not max(abs(x), abs(y), abs(z)) <= _FURTHEST_PART_MM:
@@ -391,6 +390,7 @@ def _of_file(path: Path, fields: dict[str, Any]) -> Any:
     )
     if is_rounded:
         fields = fields | {"edge_radius_mm": _CAD_EDGE_MM}
+    body: ConvexMesh | Surface
     try:
         body = ConvexMesh.load(path, **fields)
     except NotConvexError:

@@ -83,12 +83,16 @@ class LabelledFrames(ABC):
     name: str
     columns: dict[str, np.ndarray]
     rest_pictures: Sequence[Callable[[], np.ndarray]]
-    cameras: Sequence[Camera | None] = (None,)
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
     declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
+
+    @cached_property
+    def cameras(self) -> Sequence[Camera | None]:
+        """The camera of each reference picture."""
+        return (None,)
 
     @cached_property
     def reference(self) -> np.ndarray:

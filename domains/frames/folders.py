@@ -160,7 +160,7 @@ class PictureFiles(StoredFrames):
         return sha256(repr(stats).encode())
 
     @cached_property
-    def cameras(self) -> list[Camera | None]:
+    def cameras(self) -> Sequence[Camera | None]:
         file = self.folder / SENSOR_FILE
         camera = _camera_of(file, self.size_px[0]) if file.exists() else None
         return [camera] * len(self.rest_pictures)

@@ -225,7 +225,7 @@ class GeneratedDomain(StoredFrames):
         return self.optional("traction", index).reshape(*COARSE_SHAPE, 3)
 
     @cached_property
-    def cameras(self) -> "tuple[Camera]":
+    def cameras(self) -> "Sequence[Camera | None]":
         return (self.recipe.sensor.camera,)
 
     @cached_property
