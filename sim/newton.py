@@ -444,7 +444,7 @@ class AndersonAcceleration:
         A longer increment than the last one shows that the iteration has changed, or leads away from where it was.
         """
         if self._increments and np.linalg.norm(increment) > np.linalg.norm(self._increments[-1]):
-            self.__init__()
+            self._places, self._increments = [], []
         self._places = [*self._places, np.array(place)][-_REMEMBERED:]
         self._increments = [*self._increments, np.array(increment)][-_REMEMBERED:]
         # One change alone may be the gel's, which is not linear.

@@ -43,7 +43,7 @@ _TURNS_DEG = (37.0, 90.0)
 _CURVED_PLACES, _CURVED_STEPS = 8000, 200
 # Over fewer places than this the normal turns as the places do, not as the surface does.
 _FINEST_STEP = 2.0
-# A rim that is steeper than this rises further by so many times its last rise: half of it where the wall is on average.
+# Beyond a rim steeper than the first number the wall is put at the second one times the rim's last rise.
 _STEEP_RIM, _RIM_GROWTH = 0.7, 2.5
 
 

@@ -40,7 +40,7 @@ def grid(
     """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
 
     Of a seed, all groups come with the first method before the next one: they train the stages that others share.
-    `changes` are fields of the profile that differ from the preset, `settings` those of a method's own: none.
+    `changes` are fields of the profile that differ from the preset.
     """
     cases, methods = list(cases), list(methods)
     return [

@@ -173,7 +173,7 @@ class PictureFiles(StoredFrames):
 
 
 def _camera_of(file: Path, width_px: int) -> Camera:
-    """Return the camera of a sensor's file, or the one whose pixels show so many mm."""
+    """Return the camera of a sensor file, or one with the file's `mm_per_px`."""
     from gelgap.render import Sensor
 
     values = read_toml(file)

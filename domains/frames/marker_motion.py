@@ -17,7 +17,7 @@ FEWEST_MARKERS = 8
 _MATCHED_WITHIN = 0.4
 # Of the rest area: blobs of other sizes are markers that have merged, or are half hidden.
 _AREA_FACTORS = 0.4, 1.7
-# So far beyond the grid the gel is held at rest, at so many points, which bounds what lies beyond the markers.
+# The gel is held at rest at this many points, this far beyond the grid: a bound for what lies beyond the markers.
 _AT_REST_BEYOND_MM, _AT_REST = 3.0, 24
 
 
