@@ -305,13 +305,6 @@ def _times_drawn(rng: np.random.Generator, number: int) -> np.ndarray:
     return np.stack([np.bincount(row, minlength=number) for row in drawn])
 
 
-def bootstrap(values: np.ndarray) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of values (cases, seeds); NaN for one case, or where a case has no run."""
-    if len(values) < 2 or not (~np.isnan(values)).any(axis=1).all():
-        return math.nan, math.nan
-    return interval(drawn_means(values))
-
-
 def interval(draws: np.ndarray) -> tuple[float, float]:
     """Return the 95 % percentile interval of draws (RESAMPLES,), NaN left out; NaN if all are."""
     if np.isnan(draws).all():

@@ -63,12 +63,4 @@ BENCHMARKS = {
     "adaptation-lights": Benchmark(
         "training in random lights instead of adapting", "adaptation.report:run_lights", has_quick_form=False
     ),
-    "real": Benchmark(
-        "force from one real session's light to another's, by one number of a picture",
-        "real.sessions:run",
-        needs_data=True,
-    ),
-    "real-networks": Benchmark(
-        "the same with all methods of adaptation", "real.sessions:networks", needs_data=True
-    ),
 }

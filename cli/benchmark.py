@@ -34,7 +34,7 @@ class Benchmark(opt.Command):
     data: Annotated[
         Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
     ] = None
-    """For sensors and real: the folder with clones of published data sets, or presses of your own sensors."""
+    """For sensors: the folder with clones of published data sets, or presses of your own sensors."""
     out: Annotated[Path, opt.output_folder] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 

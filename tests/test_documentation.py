@@ -64,7 +64,6 @@ QUICKEST = {
 NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap demo": "tests/cli/test_demo.py runs it",
-    r"gelgap benchmark real": "tests/benchmarks/real runs each form",
     r"gelgap benchmark physics-shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
     r"gelgap benchmark adaptation-(inputs|lights)": "hours, no quick form",
@@ -305,7 +304,7 @@ def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> Non
 
 
 def write_recordings_to_convert(folder: Path) -> None:
-    """Write what `gelgap convert` and `gelgap benchmark real` need: clones in small, and somebody's own clips."""
+    """Write what `gelgap convert` needs: clones in small, and somebody's own clips."""
     write_wedge_clone(folder / "clones/EstimateModulus")
     write_ball_clone(folder / "clones/gelsight", presses=3)
     write_recordings(folder / "mine")

@@ -9,7 +9,6 @@ with `ball_position/*.txt`: x, y and a radius in pixels of the rectified picture
 own and are not used.
 """
 
-import logging
 import pickle
 import re
 from collections.abc import Iterator
@@ -22,11 +21,10 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image
-from gelgap.domains import ConvertedClip, convert
+from gelgap.domains import ConvertedClip
 from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, video_pictures
 from gelgap.domains.frames.tables import read_table
 
-LOG = logging.getLogger(__name__)
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 PICTURES_PER_S = 30.0
 GLITCH_N = -1.5
@@ -237,20 +235,3 @@ LAYOUTS: dict[str, Layout] = {
     "ball-presses": lambda clone, every, lag: (_ball_presses(clone, name, every) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""
-
-
-def converted_wedge(data: Path, out_dir: Path) -> Path:
-    """Return the folder of the grasps' domains: the clone in `data`, converted once and kept in `out_dir`.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the clone is missing; the message has the line that gets it.
-    """
-    clone, converted = data / WEDGE_CLONE.rpartition("/")[2], out_dir / "real/wedge"
-    if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {WEDGE_CLONE} {clone}")
-    if not converted.is_dir():
-        LOG.info("converting %s, once", clone)
-        convert(clone, LAYOUTS["wedge"], converted)
-    return converted

@@ -40,7 +40,7 @@ def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["real"], "--data is missing"),
+        (["sensors"], "--data is missing"),
         (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
         (["adaptation-lights", "--quick"], "this benchmark has no quick form"),
     ],
