@@ -14,15 +14,14 @@ import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
-from gelgap.benchmarks.physics.cases import Case, Solver
+from gelgap.benchmarks.physics.cases import Case
 from gelgap.benchmarks.physics.errors import SURFACE, Picture, combined, measured
 from gelgap.benchmarks.physics.references import (
     FORCE_UNCERTAINTY_PERCENT,
-    HELD_BACK,
     NO_SLIP_FRICTION,
     across_cases,
     drag_cases,
-    own_cases,
+    held_back_cases,
     press_cases,
     shape_cases,
     solid_cases,
@@ -72,13 +71,13 @@ def run(quick: bool, out_dir: Path) -> None:
     The quick form is a press down to 0.4 mm and a drag; the full one adds all others whose solution is known. Until the
     end, what is solved is kept in `out_dir`/physics-solves: a benchmark that was stopped goes on from there.
     """
-    solver = Solver(None, out_dir / "physics-solves")
-    results = measured(quick_cases() if quick else full_cases(solver), solver, picture_maker())
+    solves = out_dir / "physics-solves"
+    results = measured(quick_cases() if quick else full_cases(), solves, picture_maker())
     show_tables(results)
     show_targets(results["presses"], results["drags"])
     plot_frontier(out_dir / "physics-frontier.png", frontier(results["presses"]))
     write_json(out_dir / "physics.json", results)
-    shutil.rmtree(solver.folder, ignore_errors=True)
+    shutil.rmtree(solves, ignore_errors=True)
     print(f"results in {out_dir / 'physics.json'}, plot in {out_dir / 'physics-frontier.png'}")
 
 
@@ -89,16 +88,16 @@ def run_shapes(quick: bool, out_dir: Path) -> None:
     lying cylinder, a long box that is pressed and dragged across, a short box and a dragged cylinder in space, and two
     rings by their surface.
     """
-    solver = Solver(None, out_dir / "shape-solves")
+    solves = out_dir / "shape-solves"
     cases = at_both([*shape_cases(), *across_cases(), *solid_cases(), *surface_cases()])
     if quick:
         *round_bodies, _ = shape_cases()
         shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]
         cases = [replace(case, quality="draft") for case in shallow]
-    results = measured(cases, solver)
+    results = measured(cases, solves)
     show_tables(results)
     write_json(out_dir / "shapes.json", results)
-    shutil.rmtree(solver.folder, ignore_errors=True)
+    shutil.rmtree(solves, ignore_errors=True)
     print(f"results in {out_dir / 'shapes.json'}")
 
 
@@ -110,13 +109,13 @@ def quick_cases() -> list[Case]:
     ]
 
 
-def full_cases(solver: Solver) -> list[Case]:
+def full_cases() -> list[Case]:
     """Return all presses and drags of spheres whose solution is known."""
     tables = press_cases()
     return [
         *at_both([*tables.values(), tabled_sphere()]),
         replace(tables[FINE_CASE], quality="fine"),
-        *at_both(own_cases("held back", HELD_BACK, solver)),
+        *at_both(held_back_cases().values()),
         *at_both(drag_cases()),
     ]
 

@@ -8,25 +8,21 @@ import importlib.metadata
 import math
 import resource
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap import sim
-from gelgap.benchmarks import fem
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvedPose, SolvePlan, Sphere
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Floats = NDArray[np.float64]
 SLOWEST_FIRST = ("fine", "standard", "draft")
@@ -102,71 +98,47 @@ class Case:
         return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
 
 
-@dataclass(frozen=True)
-class Solver:
-    """How many processes measure (None: one per core), and the folder that keeps what they have finished."""
+def solved_cases(cases: Iterable[Case], folder: Path, processes: int | None = None) -> dict[Case, Any]:
+    """Solve cases, each in a fresh process, the slowest first; return what `_solved` says of each, and its `states`.
 
-    processes: int | None
-    folder: Path
-
-    def measure(
-        self, function: Callable[[Any], Results], things: Mapping[str, Any], tasks_per_worker: int | None = 1
-    ) -> "pd.DataFrame":
-        """Call a function with each thing, in a fresh process; return the results by the things' names.
-
-        What the folder has of the same thing and the same code of the solvers is read.
-        """
-        settings = [
-            {"what": name, "of": hashlib.sha256(f"{thing!r} {code_digest()}".encode()).hexdigest()[:12]}
-            for name, thing in things.items()
-        ]
-        by_key = dict(zip(map(key_of, settings), things.values(), strict=True))
-        found = run_missing(
-            partial(_called, function, by_key),
-            settings,
-            self.folder / f"{function.__name__}.jsonl",
-            workers=self.processes,
-            tasks_per_worker=tasks_per_worker,
-        )
-        return found.set_index("what").drop(columns="of")
-
-    def solve(self, solves: Mapping[str, Solve]) -> "pd.DataFrame":
-        """Return solution, core_s, solve_s and peak_mib of each solve; see `solved`."""
-        found = self.measure(solved, solves)
-        return found.assign(solution=[solution_from_bytes(data.tobytes()) for data in found["solution"]])
-
-    def cases(self, cases: Iterable[Case]) -> dict[Case, Any]:
-        """Solve cases, the slowest first; each has its `states` beside what `solve` returns."""
-        ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
-        if not ordered:
-            return {}
-        found = self.solve({f"{case.study}, {case.name}, {case.quality}": case.solve for case in ordered})
-        found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
-        return dict(zip(ordered, found.itertuples(), strict=True))
+    What the folder has of the same solve and the same code of the simulator is read. There are as many processes at a
+    time as cores, unless it is said how many.
+    """
+    ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
+    if not ordered:
+        return {}
+    settings = [
+        {
+            "what": f"{case.study}, {case.name}, {case.quality}",
+            "of": hashlib.sha256(f"{case.solve!r} {code_digest()}".encode()).hexdigest()[:12],
+        }
+        for case in ordered
+    ]
+    solves = {key_of(setting): case.solve for setting, case in zip(settings, ordered, strict=True)}
+    found = run_missing(
+        partial(_solved, solves), settings, folder / "solved.jsonl", workers=processes, tasks_per_worker=1
+    )
+    found["solution"] = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
+    found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
+    return dict(zip(ordered, found.itertuples(), strict=True))
 
 
-def solved(solve: Solve) -> Results:
+def _solved(solves: Mapping[str, Solve], setting: Setting) -> Results:
     """Solve in this process, which is taken to be fresh; keep the solution as the bytes of its file.
 
-    `core_s` is the processor time of the whole process, imports included, `solve_s` that of the solve in it.
+    `core_s` is the processor time of the whole process, imports included.
     """
-    imports_s = time.process_time()
-    solution = solve.run()
+    solution = solves[key_of(setting)].run()
     return {
         "core_s": time.process_time(),
-        "solve_s": time.process_time() - imports_s,
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "solution": np.frombuffer(solution_bytes(solution), np.uint8),
     }
 
 
-def _called(function: Callable[[Any], Results], things: Mapping[str, Any], setting: Setting) -> Results:
-    return function(things[key_of(setting)])
-
-
 @cache
 def code_digest() -> str:
-    """Return a short hash of the solvers' code and of MuJoCo's version."""
-    files = [file for room in (sim, fem) for file in sorted(Path(room.__file__).parent.rglob("*.py"))]
+    """Return a short hash of the simulator's code and of MuJoCo's version."""
+    files = sorted(Path(sim.__file__).parent.rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     return f"{code[:12]} {importlib.metadata.version('mujoco')}"

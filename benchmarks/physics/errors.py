@@ -1,13 +1,14 @@
 """How far solved cases are from the truth: forces, contact radii, membranes, normals and pictures."""
 
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import rms
-from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
+from gelgap.benchmarks.physics.cases import Case, Floats, Truth, solved_cases
 from gelgap.render.imaging import psnr_db
 from gelgap.sim import Box, Edge, MembraneState, Traction
 
@@ -20,18 +21,16 @@ MIDDLE_MM = 1.0  # half of what counts as the middle of a long body
 SURFACE = ("u_z rms µm", "in-plane rms µm", "peak µm", "normals rms °", "worst °")
 
 
-def measured(
-    cases: Sequence[Case], solver: Solver, picture: Picture | None = None
-) -> dict[str, pd.DataFrame]:
+def measured(cases: Sequence[Case], folder: Path, picture: Picture | None = None) -> dict[str, pd.DataFrame]:
     """Solve cases and return the table of each study: a row of errors a case; of the presses' pictures, too."""
-    solved = solver.cases(cases)
+    solved = solved_cases(cases, folder)
     rows = [errors(case, solved[case], picture if case.study == "presses" else None) for case in cases]
     studies = pd.DataFrame(rows).groupby("study", sort=False)
     return {study: own.dropna(axis=1, how="all") for study, own in studies}
 
 
 def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str, Any]:
-    """Compare what `Solver.cases` returns for a case with its truth: a row of the table.
+    """Compare what `solved_cases` returns for a case with its truth: a row of the table.
 
     Of a long body the middle is compared, which is in plane strain; its forces are per mm of length. Presses have
     errors of the membrane, and with a `picture` maker of their pictures; drags those of Fx.

@@ -1,19 +1,16 @@
-"""Cases with a true solution: independent finite elements in assets/reference, or the project's own."""
+"""Cases with a true solution: the finite elements in assets/reference."""
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.common import Results
-from gelgap.benchmarks.fem.spheres import Press, solve_press
-from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
+from gelgap.benchmarks.physics.cases import Case, Floats, Truth
 from gelgap.sim import Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere, Surface
 from gelgap.sim.shapes import AnyIndenter
 
@@ -27,44 +24,6 @@ LONG_MM = 16.0
 # Of heights, as finely as they are kept; all of a ring's half height can be pressed in.
 FINEST_MM = 0.04
 RING_HEIGHT_MM = 0.6
-Descent = tuple[Press, tuple[float, ...]]
-"""A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
-
-
-def axisymmetric_press(
-    radius_mm: float,
-    thickness_mm: float,
-    poisson_ratio: float,
-    friction: float,
-    *depths_mm: float,
-    energy: Literal["isochoric", "stable"] = "stable",
-    elements: int = 12,
-) -> Descent:
-    """Return a press, `elements` across Hertz's radius at its deepest, of a pad whose rim does not matter."""
-    press = Press(
-        energy=energy,
-        poisson_ratio=poisson_ratio,
-        friction=friction,
-        indenter_radius_mm=radius_mm,
-        thickness_mm=thickness_mm,
-        pad_radius_mm=radius_mm + 3.5 * thickness_mm,
-        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / elements, thickness_mm / 15),
-    )
-    return press, depths_mm
-
-
-HELD_BACK = tuple(  # presses that no table and no calibration has
-    axisymmetric_press(*scene, energy="isochoric", elements=20)
-    for scene in (
-        (1.0, 2.0, 0.47, 0.3, 0.167, 0.333, 0.5, 0.667),
-        (2.5, 4.0, 0.49, 0.8, 0.333, 0.667, 1.0, 1.333),
-        (1.5, 5.0, 0.495, 0.1, 0.25, 0.5, 0.75, 1.0),
-        (2.0, 3.0, 0.46, math.inf, 0.25, 0.5, 0.75, 1.0),
-        (6.0, 2.0, 0.48, math.inf, 0.15, 0.375, 0.6),
-        (6.0, 4.0, 0.49, 0.3, 0.33, 0.67, 1.0, 1.33),
-        (10.0, 4.0, 0.49, math.inf, 0.1, 0.65, 1.2),
-    )
-)
 
 
 @cache
@@ -87,6 +46,17 @@ def tabled_sphere() -> Case:
     # The true radius lies between the last node that touches and the next.
     rows = rows.assign(off_percent=50 * rows["element_mm_fine"] / rows["contact_radius_mm"])
     return tabled_cases("presses", rows, "spheres/{}_profile.csv")[TABLED_SPHERE]
+
+
+def held_back_cases() -> dict[str, Case]:
+    """Return presses of spheres that no other table and no calibration has."""
+    rows = pd.read_csv(asset_path("reference", "spheres", "held_back.csv"))
+    rows = rows.assign(
+        body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
+        strain_energy="isochoric",
+        off_percent=rows.eval("25 * element_mm / contact_radius_mm"),
+    )
+    return tabled_cases("held back", rows, "spheres/{}_profile.csv")
 
 
 def shape_cases() -> tuple[Case, ...]:
@@ -240,41 +210,6 @@ def rounded_ring(inner_mm: float, outer_mm: float, edge_mm: float) -> Surface:
     return Surface.of(
         np.where(over_mm <= edge_mm, heights_mm, np.inf), FINEST_MM, height_mm=2 * RING_HEIGHT_MM
     )
-
-
-def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
-    """Return presses with what the project's own axisymmetric solver finds, named by scene and greatest depth."""
-    named = {f"{press} to {depths_mm[-1]:g} mm": (press, depths_mm) for press, depths_mm in descents}
-    found = solver.measure(solved_truth, named, tasks_per_worker=None)
-    cases = []
-    for name, (press, depths_mm) in named.items():
-        radius_mm = found.loc[name, "radius_mm"]
-        truth = Truth(
-            normal(found.loc[name, "fz_n"]),
-            source="own",
-            uncertainty_percent=25 * press.element_mm / radius_mm.min(),
-            radius_mm=radius_mm,
-            profiles=tuple(found.loc[name, "profiles"]),
-        )
-        elastomer = Elastomer(
-            young_modulus_mpa=press.young_modulus_mpa,
-            poisson_ratio=press.poisson_ratio,
-            thickness_mm=press.thickness_mm,
-            friction=min(press.friction, NO_SLIP_FRICTION),
-        )
-        ball = Sphere(diameter_mm=2 * press.indenter_radius_mm)
-        cases.append(Case(study, name, elastomer, tuple(map(Pose, depths_mm)), indenter=ball, truth=truth))
-    return cases
-
-
-def solved_truth(descent: Descent) -> Results:
-    """Return what the project's own axisymmetric solver finds, for a truth."""
-    states = solve_press(*descent)
-    return {
-        "fz_n": np.array([state.force_n for state in states]),
-        "radius_mm": np.array([state.contact_radius_mm for state in states]),
-        "profiles": np.array([[state.r_mm, state.u_r_mm, state.u_z_mm] for state in states]),
-    }
 
 
 @cache

@@ -1,15 +1,10 @@
-"""Elastomers: presets and bad values; moduli of an equivalent material on a press not calibrated on, and of a mesh."""
+"""Elastomers: presets and bad values; moduli of an equivalent material, and of a mesh."""
 
-import math
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
-from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, QUALITIES
@@ -77,27 +72,14 @@ def test_a_sphere_has_a_size() -> None:
         Sphere(diameter_mm=0.0)
 
 
-def test_equivalent_moduli_bring_mujocos_energy_to_the_isochoric_gel():
-    gel = Press(
-        poisson_ratio=0.46, friction=math.inf, indenter_radius_mm=2.0, thickness_mm=4.0, element_mm=0.2
-    )
-    equivalent = equivalent_moduli(Moduli(gel.young_modulus_mpa, gel.poisson_ratio))
+def test_equivalent_moduli_are_those_that_finite_elements_bore_out():
+    """A sphere of R 2 mm on 4 mm without slip, ν 0.46, 0.6 and 1.2 mm deep, by the axisymmetric elements of 21076aa7.
 
-    same = replace(gel, energy="stable")
-    moved = replace(
-        same, young_modulus_mpa=equivalent.young_modulus_mpa, poisson_ratio=equivalent.poisson_ratio
-    )
-    depths_mm, radii_mm = (0.45 * gel.deepest_mm, 0.9 * gel.deepest_mm), np.linspace(0, 6.0, 101)
-
-    def pressed(problem: Press):
-        states = solve_press(problem, depths_mm, nodes_per_step=1.0)
-        force_n = np.array([state.force_n for state in states])
-        return force_n, np.array([state.surface_mm(radii_mm) for state in states])
-
-    (of_gel, gel_mm), (of_same, same_mm), (of_moved, moved_mm) = map(pressed, (gel, same, moved))
-    assert np.abs(of_same / of_gel - 1).max() > 0.03
-    assert np.abs(of_moved / of_gel - 1).max() < 0.02
-    assert np.square(moved_mm - gel_mm).mean() < np.square(same_mm - gel_mm).mean()
+    MuJoCo's energy is 1.6 and 3.2 % softer than the isochoric one at equal moduli, and within 1 % with these.
+    """
+    moved = equivalent_moduli(Moduli(0.3, 0.46))
+    assert moved.young_modulus_mpa == pytest.approx(0.30545, rel=1e-4)
+    assert moved.poisson_ratio == pytest.approx(0.462863, rel=1e-5)
 
 
 @given(st.floats(0.0, 0.4999), st.floats(1e-3, 100))
