@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -12,22 +12,12 @@ from gelgap.assets.names import closest_name
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
 from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
+from gelgap.domains.domain import Domain, OptionalColumn
 
 if TYPE_CHECKING:
     from gelgap.domains.sweep import Variant
 
 DATA_SETS = list_presets("datasets")
-OptionalColumn = Literal[
-    "height_map",
-    "contact_mask",
-    "marker_rest_mm",
-    "marker_px",
-    "diagnostics",
-    "indenter",
-    "torque",
-    "traction",
-    "turn",
-]
 
 
 def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
@@ -42,8 +32,6 @@ def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
 
 def check_what(words: tuple[str, ...]) -> None:
     """Check names of domains, of which there may be several, or of a data set or a TOML file, which stands alone."""
-    from gelgap.domains.domain import Domain
-
     for word in words:
         if word in DATA_SETS or word.endswith(".toml"):
             if len(words) > 1:
@@ -186,7 +174,6 @@ class Generate(opt.Command):
         """Return the domain with parts of one's own: one, or the same in several drawn lights."""
         from gelgap.assets.image_file import read_image
         from gelgap.assets.toml_file import named_in_errors
-        from gelgap.domains.domain import Domain
 
         base = self.what[0] if self.what else "mb0i0"
         if len(self.what) > 1 or base in DATA_SETS or base.endswith(".toml"):

@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
-
-Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
+from gelgap.domains.domain import RandomFactor
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Pretrain(opt.Command):
     """How many domains are drawn."""
     frames: Annotated[int, opt.between(2, 100_000)] = 60
     """Frames of a domain: one without contact, then every depth of its press, straight and dragged, at drawn places."""
-    without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
+    without: Annotated[tuple[RandomFactor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Factors that are the same in every domain instead of drawn: an ablation."""
     ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
     """Ranges that differ from those of assets/pretraining.toml."""

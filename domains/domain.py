@@ -7,14 +7,29 @@ import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from gelgap.assets import list_presets
 from gelgap.assets.names import closest_name, quoted
 
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
 OWN_LIGHT = "own"
+OptionalColumn = Literal[
+    "height_map",
+    "contact_mask",
+    "marker_rest_mm",
+    "marker_px",
+    "diagnostics",
+    "indenter",
+    "torque",
+    "traction",
+    "turn",
+]
+"""What a domain may hold beyond its labels and pictures."""
+RandomFactor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
+"""What is drawn for pretraining, and can be left out to see what it matters."""
 Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 
@@ -61,9 +76,11 @@ def known_domains() -> tuple[Domain, ...]:
     return tuple(Domain(*parts) for parts in product(list_presets("elastomers"), lights, (True, False)))
 
 
-def random_stream(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:
+def random_stream(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> "Generator":
     """Return the random numbers of one domain, frame and purpose, whoever draws them and whenever."""
-    return np.random.default_rng(np.random.SeedSequence([seed, word(domain), word(purpose), frame]))
+    from numpy.random import SeedSequence, default_rng
+
+    return default_rng(SeedSequence([seed, word(domain), word(purpose), frame]))
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, PositiveFloat
@@ -18,13 +18,12 @@ from pydantic import AfterValidator, Field, PositiveFloat
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.domains.domain import word
+from gelgap.domains.domain import RandomFactor, word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
 
-RANDOM_FACTORS = ("gel", "sphere", "light", "camera", "blur", "noise", "markers")
-"""What is drawn, and can be left out to see what it matters."""
+RANDOM_FACTORS = get_args(RandomFactor)
 
 
 def _rises(interval: Interval) -> Interval:

@@ -20,9 +20,8 @@ from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import comma_list, stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains, random_stream
+from gelgap.domains.domain import OWN_LIGHT, Domain, OptionalColumn, known_domains, random_stream
 from gelgap.domains.formats.domain_folder import DomainName
-from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import (

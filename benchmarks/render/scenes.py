@@ -147,7 +147,7 @@ STORED_SCENES = (
 )
 
 
-def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, seed: int = 0) -> np.ndarray:
+def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int) -> np.ndarray:
     """Return the float32 (h, w, 3) linear picture of a scene, with interreflection.
 
     Raises
@@ -178,12 +178,12 @@ def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, 
             "far_clip": 500.0,
             "to_world": view,
             "film": {"type": "hdrfilm", "width": width, "height": height, **film},
-            "sampler": {"type": "multijitter", "sample_count": samples_per_pixel, "seed": seed},
+            "sampler": {"type": "multijitter", "sample_count": samples_per_pixel},
         },
     }
     for index, emitter in enumerate(scene.light().emitters(camera)):
         description[f"led_{index}"] = _emitter(mi, emitter)
-    return np.array(mi.render(mi.load_dict(description), spp=samples_per_pixel, seed=seed))
+    return np.array(mi.render(mi.load_dict(description), spp=samples_per_pixel))
 
 
 def _mesh(mi, scene: RenderScene):

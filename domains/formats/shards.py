@@ -11,12 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gelgap.domains.domain import OptionalColumn
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.sim import Diagnostics, MembraneState, Pose
 
@@ -174,18 +175,7 @@ LABELS = (
 )
 IMAGE = Column("image", PICTURE, "", "what the camera sees")
 
-OptionalColumn = Literal[
-    "height_map",
-    "contact_mask",
-    "marker_rest_mm",
-    "marker_px",
-    "diagnostics",
-    "indenter",
-    "torque",
-    "traction",
-    "turn",
-]
-OPTIONAL: dict[str, tuple[Column, ...]] = {
+OPTIONAL: dict[OptionalColumn, tuple[Column, ...]] = {
     "height_map": (Column("height_map", PICTURE, "mm", HEIGHT_MAP_SCALE, cell=_height_map),),
     "contact_mask": (
         Column("contact_mask", PICTURE, "", "255 where the indenter touches", cell=_contact_mask),
@@ -213,7 +203,7 @@ OPTIONAL: dict[str, tuple[Column, ...]] = {
         for k, (name, axis) in enumerate(zip(("roll_x_deg", "roll_y_deg", "twist_deg"), "xyz", strict=True))
     ),
 }
-"""What a domain may also hold, by the names by which it is asked for."""
+"""The columns by which each `OptionalColumn` is stored."""
 
 COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPTIONAL.values() for c in own))}
 """Every column that there is, by its name."""

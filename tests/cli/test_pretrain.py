@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,10 +9,8 @@ from quick_solves import SMALL_RANGES, shrink_libraries
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
-from gelgap.cli.pretrain import Factor
 from gelgap.domains import open_domain
 from gelgap.domains.frames.folders import domain_folders
-from gelgap.domains.pretraining import RANDOM_FACTORS
 
 
 def small_pretraining(folder: Path) -> str:
@@ -53,10 +50,6 @@ def test_a_pretrained_network_is_where_training_starts(
     np.testing.assert_array_equal(started.force_range_n, pretrained.force_range_n)
     for one, other in zip(started.network.parameters(), pretrained.network.parameters(), strict=True):
         np.testing.assert_allclose(one.detach().cpu(), other.detach().cpu(), atol=1e-4)
-
-
-def test_what_can_be_left_out_is_what_is_drawn() -> None:
-    assert get_args(Factor) == RANDOM_FACTORS
 
 
 @pytest.mark.parametrize(
