@@ -7,6 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gelgap.domains import open_domain
+
 SIZE_PX = (160, 120)
 REST_LEVEL = 100.0
 
@@ -125,6 +127,22 @@ def write_recordings(folder: Path) -> Path:
         [{"time_s": 5 + k / 30, "fx_n": 0.0, "fz_n": -f} for k, f in enumerate(force_n)],
     )
     return folder
+
+
+def write_labelled_pictures(domain: Path, folder: Path) -> None:
+    """Write a domain's frames as somebody's pictures with Fz, a clip for each contact point."""
+    frames, rows = open_domain(domain), []
+    for index in range(len(frames)):
+        clip = f"{folder.name}-{frames.point_id[index]}"
+        row = {"picture": f"{clip}/{index}.png", "fz_n": frames.columns["fz_n"][index], "clip": clip}
+        for name, picture in (
+            (row["picture"], frames.picture(index)),
+            (f"references/{clip}.png", frames.reference),
+        ):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / name), picture[..., ::-1])
+        rows.append(row)
+    write_table(folder / "labels.csv", rows)
 
 
 def write_table(path: Path, rows: list[dict]) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 from quick_solves import SMALL_RANGES, coarsen, shrink_libraries
-from real_clones import write_ball_clone, write_recordings, write_wedge_clone
+from real_clones import write_ball_clone, write_labelled_pictures, write_recordings, write_wedge_clone
 
 from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
@@ -289,6 +289,9 @@ def test_a_page_runs(page: str, slowly: bool, after_the_readme: Path, tmp_path: 
         take_pictures_to_calibrate_with(tmp_path / "page")
     if "gelgap convert" in page_text(page):
         write_recordings_to_convert(tmp_path / "page")
+    if "--source monday" in page_text(page):
+        for name, folder in (("mb0i0", "monday"), ("wmb1i1", "friday")):
+            write_labelled_pictures(tmp_path / "page/data" / name, tmp_path / "page" / folder)
     run_all(snippets(page), tmp_path / "page", slowly)
 
 
