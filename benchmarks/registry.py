@@ -53,7 +53,7 @@ BENCHMARKS = {
         "displacement from markers, by their pattern, beside dense flow", "render.marker_motion:run"
     ),
     "sensors": Benchmark(
-        "how well presses of real sensors are predicted from others", "real.sensor_sets:run", needs_data=True
+        "how well presses of real sensors are predicted from others", "sensor_sets:run", needs_data=True
     ),
     "throughput": Benchmark("time to generate and to read domains", "throughput:run"),
     "adaptation": Benchmark("all methods of adaptation on all groups", "adaptation.report:run_groups"),

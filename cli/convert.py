@@ -42,7 +42,7 @@ class Convert(opt.Command):
 
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
-        from gelgap.benchmarks.real.published_sets import LAYOUTS
+        from gelgap.domains.formats.published_sets import LAYOUTS
 
         if self.lag is not None and self.layout == "ball-presses":
             raise ValueError(

@@ -37,13 +37,13 @@ CODE = (*ALLOWED, "tests", "examples", "scripts")
 MOST_PUBLIC_NAMES = 150
 MOST_ARGUMENTS = 124
 MOST_NAMES_OF_ARGUMENTS = 76
-MOST_LINES = 37_279
-MOST_FILES = 213
+MOST_LINES = 37_278
+MOST_FILES = 212
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
 """Where a file may be as short as its command or method is."""
-READS_PICKLES = "benchmarks/real/published_sets.py"
+READS_PICKLES = "domains/formats/published_sets.py"
 """Its Unpickler resolves no name to anything of NumPy or Python; `test_published_sets.py` tries hostile ones."""
 
 

@@ -107,7 +107,7 @@ def convert(
     Of the pictures in contact every n-th is written (n = `every`), and the few before that make a clip's reference.
     Without a `lag` in frames each clip's is estimated; 0 takes the clocks as they are. The layout is `recordings`, a
     user's folder, or a function of the folder, n and the lag that reads another one:
-    `gelgap.benchmarks.real.published_sets.LAYOUTS` has those of two public repositories, by name.
+    `gelgap.domains.formats.published_sets.LAYOUTS` has those of two public repositories, by name.
 
     Raises
     ------

@@ -89,6 +89,6 @@ def options_of(command: str, field: str) -> set[str]:
 
 def test_the_layouts_of_export_and_convert_are_those_that_there_are() -> None:
     assert options_of("export", "format_name") == set(import_module("gelgap.domains.formats.export").FORMATS)
-    published = import_module("gelgap.benchmarks.real.published_sets").LAYOUTS
+    published = import_module("gelgap.domains.formats.published_sets").LAYOUTS
     own = import_module("gelgap.domains.formats.convert").LAYOUTS
     assert options_of("convert", "layout") == set(own) | set(published)

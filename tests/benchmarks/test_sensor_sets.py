@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.real import sensor_sets
+from gelgap.benchmarks import sensor_sets
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.render import Markers, MembraneRenderer, Sensor
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress

@@ -16,11 +16,18 @@ from real_clones import (
     write_ball_clone,
     write_table,
     write_wedge_clip,
+    write_wedge_clone,
 )
 
-from gelgap.benchmarks.real.published_sets import LAYOUTS, read_pickled_array
 from gelgap.cli.main import main
 from gelgap.domains import ConvertedClip, convert
+from gelgap.domains.formats.published_sets import LAYOUTS, read_pickled_array
+
+
+@pytest.fixture(scope="module")
+def wedge(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small clone of the grasps, not to be changed."""
+    return write_wedge_clone(tmp_path_factory.mktemp("clones") / "EstimateModulus")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Real recordings of two public repositories, as picture folders and as presses. Nothing of them comes with gelgap.
+"""Real recordings of two public repositories, to convert into picture folders. Nothing of them comes with gelgap.
 
 GelSight-lab/EstimateModulus: videos of a GelSight Wedge and the force of the gripper. A clone holds
 `example_data/<session>/<clip>.avi` with `<clip>_forces.pkl`, one number a picture in N, positive in compression, and
@@ -21,8 +21,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image
-from gelgap.domains import ConvertedClip
-from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, video_pictures
+from gelgap.domains.formats.convert import Clip, ConvertedClip, Layout, Selection, mean_rgb, video_pictures
 from gelgap.domains.frames.tables import read_table
 
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"

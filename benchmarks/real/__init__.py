@@ -1,1 +1,0 @@
-"""Real sensors' data, from clones of public repositories: does what holds on gelgap's domains hold there?"""
