@@ -9,10 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from quick_solves import coarsen
 
 from gelgap.adapt.profile import Profile
 from gelgap.domains import ArrayFrames
+
+# How long an example takes says how busy the machine is.
+settings.register_profile("gelgap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("gelgap")
 
 
 @pytest.fixture(scope="session", autouse=True)
