@@ -31,6 +31,8 @@ ASSUMED = (
 # By so much may a table that knows this ball alone be better.
 DOUBTFUL_DB = 5.0
 DIFFERENCE_GAIN = 4
+# Contacts in balls' diameters: 0.62 to 0.9 in the published sets; 0.33 to 0.53 with a ball or scale off by two.
+LEAST_CONTACT = 0.55
 NEARLY_PARALLEL_MM = 200
 
 
@@ -112,6 +114,8 @@ class Calibrate(opt.Command):
         if sensor.illumination is None:
             check_presses(reference, presses)
             sensor = lit_from_dents(sensor, reference, presses)
+        if doubt := doubt_of_scale(sensor.camera, presses):
+            print(f"gelgap: warning: {doubt}", file=sys.stderr)
         fit = render.calibrate_light(
             sensor,
             reference,
@@ -201,6 +205,24 @@ class Calibrate(opt.Command):
         camera = render.Camera.showing(picture.shape[1] * mm_per_px) if mm_per_px else render.Camera()
         start = render.Sensor(name=self.out.stem, camera=camera, markers=render.Markers(layout="none"))
         return start, picture, presses
+
+
+def doubt_of_scale(camera: "render.Camera", presses: "Sequence[render.PressPicture]") -> str | None:
+    """Return what to think of where balls touch in small circles for their size, which no fit finds wrong."""
+    height_px, width_px, _ = presses[0].picture.shape
+    width_mm, height_mm = camera.footprint_mm((width_px, height_px))
+    shares = [
+        2 * press.radius_px * width_mm / width_px / press.sphere_diameter_mm
+        for press in presses
+        if press.radius_px and press.sphere_diameter_mm and not press.has_rough_marks
+    ]
+    if not shares or (share := median(shares)) >= LEAST_CONTACT:
+        return None
+    return (
+        f"the ball touches in circles {share:.2f} times as wide as itself, and a picture shows {width_mm:.1f} × "
+        f"{height_mm:.1f} mm of the gel: if that is not so, --ball-mm or --mm-per-px is wrong, which pictures do not "
+        f"tell; if it is, press deeper, to {LEAST_CONTACT:g} times or more: light on steeper gel is not seen"
+    )
 
 
 def report_lines(fit: "render.LightCalibration") -> list[str]:

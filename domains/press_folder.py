@@ -29,8 +29,10 @@ _SMALL_PX = (80, 60)
 # An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,
 # and what that has at most of the next smallest.
 _NO_IMPRINT, _MOST_IMPRINT, _CLEARLY_LESS = 0.3, 0.7, 0.85
-# Dents of balls on real sensors leave 0.1 to 0.21 unexplained; another body, or two imprints, more than 0.33.
-_MOST_UNEXPLAINED, _MOST_SHIFT = 0.3, 0.01  # the latter of the width
+# Dents of balls on real sensors leave 0.1 to 0.22 unexplained, at most 1.6 times the usual; other bodies more than 0.33.
+_MOST_UNEXPLAINED, _MOST_OF_USUAL, _MOST_SHIFT = 0.3, 1.8, 0.01  # the last of the width
+# What changes beyond a dent, by the share of its own change: shadows at most 1.3 times the usual, another imprint 1.5.
+_BEYOND_OF_USUAL, _BEYOND_AT_LEAST = 1.2, 0.1
 # Of the largest change in a video: more is a press, less is rest; at a press's end all is nearly as deep.
 _PRESSED, _AT_REST, _DEEPEST = 0.3, 0.1, 0.9
 _FEWEST_FRAMES = 3
@@ -101,11 +103,19 @@ def mark_presses(
 
 
 def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
-    bad = [name for name, mark in found.items() if mark.unexplained > _MOST_UNEXPLAINED]
+    unexplained, beyond = (
+        float(np.median([getattr(mark, field) for mark in found.values()])) for field in ("unexplained", "beyond")
+    )
+    bad_from = min(_MOST_UNEXPLAINED, _MOST_OF_USUAL * unexplained)
+    bad = [name for name, mark in found.items() if mark.unexplained > bad_from]
+    second_from = _BEYOND_OF_USUAL * beyond + _BEYOND_AT_LEAST
+    second = [name for name, mark in found.items() if mark.beyond > second_from]
     moved = [name for name, mark in found.items() if mark.shift_px > _MOST_SHIFT * width_px]
     doubts = []
     if bad:
         doubts.append(f"not like a ball's dent, so look at their marks or leave them out: {comma_list(bad)}")
+    if second:
+        doubts.append(f"something else than the marked dent, as a second imprint: {comma_list(second)}")
     if moved:
         most_px = max(mark.shift_px for mark in found.values())
         doubts.append(

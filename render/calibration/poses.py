@@ -113,7 +113,7 @@ class PlacedPresses:
         untouched = srgb_decode(code / 255)
         levels = np.ones((len(self.presses), 3))
         for k, press in enumerate(self.presses):
-            away = _radii_away(self.reference, self.centers_px[k], self.radii_px[k])[coarse]
+            away = radii_away(self.reference, self.centers_px[k], self.radii_px[k])[coarse]
             far = good & (away > _FAR)
             if far.any():
                 levels[k] = np.median(srgb_decode(press.picture[coarse][far] / 255) / untouched[far], axis=0)
@@ -145,7 +145,7 @@ class PlacedPresses:
         stack = np.empty((len(which), *self.reference.shape), np.float32)
         for layer, k in zip(stack, which, strict=True):
             layer[:] = self.levelled(k) / np.maximum(untouched, 1e-4)
-            layer[_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) < _LOADED_BEYOND] = np.nan
+            layer[radii_away(self.reference, self.centers_px[k], self.radii_px[k]) < _LOADED_BEYOND] = np.nan
         if self.has_dots:  # which move with the gel even where no light changes
             return FarField(untouched, None, gain)
         # Light is smooth. So is this then where presses drop out of the median, the fewer of which the less they count.
@@ -219,7 +219,7 @@ class PlacedPresses:
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
         """Return PSNR in dB inside the contact, and from one to two radii, of pixels without dots."""
-        share = _radii_away(predicted, self.centers_px[press], self.radii_px[press])
+        share = radii_away(predicted, self.centers_px[press], self.radii_px[press])
         real = self.presses[press].picture
         clear = self.clear_of_dots(press)
         inside, ring = clear & (share < 1), clear & (share >= 1) & (share < SCORED_RADII)
@@ -231,7 +231,7 @@ def found_dots(picture: np.ndarray) -> np.ndarray:
     return detect_markers(picture, least_contrast=0.1)
 
 
-def _radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
+def radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
     """Return (h, w): each pixel's distance from a contact's centre, in its radii."""
     rows, columns = np.indices(picture.shape[:2])
     return np.hypot(columns - center_px[0], rows - center_px[1]) / radius_px
@@ -343,7 +343,7 @@ def _check_contacts(placed: PlacedPresses) -> None:
     for name, press, *mark in zip(
         placed.names, placed.presses, placed.centers_px, placed.radii_px, strict=True
     ):
-        picture, inside = press.picture, _radii_away(press.picture, *mark) < 1
+        picture, inside = press.picture, radii_away(press.picture, *mark) < 1
         if not inside.any():
             raise ValueError(f"{name}: its centre lies outside of the picture; no contact was found in it")
         readable = (picture[inside] > DARK) & (picture[inside] < SATURATED)
