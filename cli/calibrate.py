@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 HELD_OUT = {
     "unchanged": "unchanged reference",
     "table": "plain table of the same presses",
+    "normals": "table of normals, for any body",
     "marked": "predicted, press as marked",
     "refined": "predicted, press refined",
 }
@@ -279,13 +280,17 @@ def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
     if not scored:
         return [f"{len(presses)} presses drawn; none has a picture to be compared with"]
     gains = [np.subtract(press.predicted, press.unchanged) for press in scored]
-    rows = [(press.name, *press.predicted, *press.unchanged) for press in scored]
+    of_what = {"predicted": "predicted", "table": "table of normals", "unchanged": "unchanged reference"}
+    kinds = [kind for kind in of_what if getattr(scored[0], kind) is not None]
+    rows = [(press.name, *(level for kind in kinds for level in getattr(press, kind))) for press in scored]
     levels = np.array([row[1:] for row in rows])
     rows += [("median", *np.median(levels, axis=0)), ("lowest", *levels.min(axis=0))]
-    width = max(len(name) for name, *_ in rows)
-    lines = [f"PSNR in dB{'':{width - 8}}predicted: inside, around   unchanged reference: inside, around"]
-    for name, inside, ring, flat_inside, flat_ring in rows:
-        lines.append(f"  {name:{width}s}{inside:17.1f}{ring:9.1f}{flat_inside:29.1f}{flat_ring:9.1f}")
+    what = "PSNR in dB: inside, around"
+    width = max(len(what), *(len(name) for name, *_ in rows))
+    lines = [f"{what:{width + 2}s}" + "".join(f"{of_what[kind]:>22s}" for kind in kinds)]
+    for name, *values in rows:
+        pairs = zip(values[::2], values[1::2], strict=True)
+        lines.append(f"  {name:{width}s}" + "".join(f"{inside:14.1f}{ring:8.1f}" for inside, ring in pairs))
     worst = min(range(len(scored)), key=lambda number: gains[number].min())
     where = ("inside", "around")[int(gains[worst].argmin())]
     return [

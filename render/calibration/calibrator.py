@@ -49,12 +49,14 @@ class HeldOut:
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
-    is the reference, `table` a plain table of the presses that were fitted; `draw` draws the picture as marked.
+    is the reference, `table` a plain table of the presses that were fitted, `normals` one of their normals, for any
+    body; `draw` draws the picture as marked.
     """
 
     name: str
     unchanged: tuple[float, float]
     table: tuple[float, float]
+    normals: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
     draw: Callable[[], np.ndarray] = field(repr=False)  # uint8 (h, w, 3)
@@ -368,6 +370,7 @@ class LightTask:
             "illumination": illumination,
             "flat_field": None,
             "marks_off": self._marks_off(fit),
+            "normal_table": tuple(map(tuple, fit.normal_table().coefficients.tolist())),
         }
         return self.sensor.model_copy(update=update)
 
@@ -396,10 +399,13 @@ def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
     scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
     draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
     plain = seen.at_level(press, table.picture(seen.centers_px[press]))
+    facing = seen.normals(press, expected_mm)
+    by_normal = fit.normal_table().picture(seen.clean_reference, facing, seen.camera)
     return HeldOut(
         seen.names[press],
         unchanged=seen.scores(press, seen.reference),
         table=seen.scores(press, plain),
+        normals=seen.scores(press, seen.at_level(press, by_normal)),
         marked=seen.scores(press, draw(expected_mm, scored_mm)),
         refined=seen.scores(press, draw(fit.refined(press).presses[0], scored_mm)),
         draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelgap.render.calibration.pictures import cubic_of_normal
 from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots, radii_away
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.light.scattered import monomials
@@ -78,7 +79,7 @@ class _Dents:
         row = self.slopes[lower] + (at - lower) * (self.slopes[lower + 1] - self.slopes[lower])
         slope = np.interp(distance / self.step_px, np.arange(len(row)), row, right=0.0)
         x, y = slope / np.sqrt(1 + slope**2) / distance * away.T
-        return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+        return cubic_of_normal(x, y)
 
 
 @dataclass(frozen=True)

@@ -260,6 +260,36 @@ class FarField:
         return self.reference[rows, columns], np.broadcast_to(factor, (len(rows), 3))
 
 
+def cubic_of_normal(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (…, 9): the monomials, from degree 1 to 3, of a normal's x and y."""
+    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=-1)
+
+
+@dataclass(frozen=True)
+class NormalTable:
+    """Change in code values by the membrane's normal, a cubic that is linear in the place, as GelSights are calibrated.
+
+    It holds for any body, and knows of no LEDs and shadows: what a fit has to be better than.
+    """
+
+    coefficients: np.ndarray  # (27, 3)
+    half_view_mm: float
+
+    @staticmethod
+    def columns(normals: np.ndarray, plane_mm: np.ndarray, half_view_mm: float) -> np.ndarray:
+        """Return (n, 27) of normals (n, 3) at places of the flat membrane (n, 2)."""
+        place = monomials(*(plane_mm / half_view_mm).T, 1)
+        by_normal = cubic_of_normal(*normals[:, :2].T)
+        return (by_normal[:, :, None] * place[:, None]).reshape(len(normals), -1)
+
+    def picture(self, reference: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+        """Return the uint8 picture (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
+        rows, columns = (values.ravel() for values in np.indices(reference.shape[:2]))
+        plane_mm = camera.plane_points_mm(columns, rows, reference.shape[1::-1])
+        change = self.columns(normals.reshape(-1, 3), plane_mm, self.half_view_mm) @ self.coefficients
+        return np.clip(np.round(reference + change.reshape(reference.shape)), 0, 255).astype(np.uint8)
+
+
 def median_of_presses(stack: np.ndarray) -> np.ndarray:
     """Return the median over presses, 1 where none is far enough."""
     stack.sort(axis=0)  # NaN last

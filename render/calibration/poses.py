@@ -196,6 +196,12 @@ class PlacedPresses:
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
         return self.camera.plane_points_mm(columns, rows, self.size_px)
 
+    def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
+        """Return (h, w, 3): the normal that each pixel sees of a press."""
+        index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
+        seen = SeenPoints.pressed(self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm))
+        return seen.normals.reshape(self.reference.shape)
+
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
