@@ -20,6 +20,7 @@ from gelgap.domains.formats.convert import VIDEOS, video_pictures
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.render import difference_picture
 from gelgap.render.calibration.marks import FoundMark, find_marks
+from gelgap.render.calibration.pictures import ListedPress, PressList
 
 LIST, SHEET = "presses.toml", "presses-sheet.png"
 _NAMED_REFERENCE = re.compile(
@@ -89,17 +90,32 @@ def mark_presses(
             f"diameter leaves at most ({most_px:.0f} px at {mm_per_px:g} mm per px), or larger: check --ball-mm and "
             "--mm-per-px"
         )
-    text = _HEAD.format(sheet=SHEET, list=LIST) + tomli_w.dumps({"reference": rest, "mm_per_px": mm_per_px})
-    for name, mark in found.items():
-        (x, y), radius = mark.center_px, mark.radius_px
-        text += "\n[[presses]]\n" + tomli_w.dumps({"picture": name, "sphere_diameter_mm": ball_mm})
-        text += f"center_px = [{x:.1f}, {y:.1f}]\nradius_px = {radius:.1f}\n"
+    presses = tuple(
+        ListedPress(
+            picture=name, sphere_diameter_mm=ball_mm, center_px=mark.center_px, radius_px=mark.radius_px
+        )
+        for name, mark in found.items()
+    )
     write_whole(
         folder / SHEET, encode_png(_sheet(flat, [(name, pictures[name], found[name]) for name in found]))
     )
-    write_whole(path, text.encode())
+    save_press_list(PressList(presses=presses, reference=rest, mm_per_px=mm_per_px), path)
     without = tuple(name for name, mark in marks.items() if mark is None)
     return FoundPresses(path, len(found), without, tuple(_doubts(found, flat.shape[1])))
+
+
+def save_press_list(listed: PressList, path: Path) -> None:
+    """Write a list of presses, whose centres and radii are rounded to 0.1 px."""
+    text = _HEAD.format(sheet=SHEET, list=LIST) + tomli_w.dumps(
+        listed.model_dump(exclude={"presses"}, exclude_none=True)
+    )
+    for press in listed.presses:
+        text += "\n[[presses]]\n" + tomli_w.dumps(
+            press.model_dump(exclude={"center_px", "radius_px"}, exclude_defaults=True)
+        )
+        text += "" if press.center_px is None else "center_px = [{:.1f}, {:.1f}]\n".format(*press.center_px)
+        text += "" if press.radius_px is None else f"radius_px = {press.radius_px:.1f}\n"
+    write_whole(path, text.encode())
 
 
 def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
