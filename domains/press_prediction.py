@@ -57,7 +57,7 @@ def predict_presses(
     """Draw the presses of a list in TOML, with a `reference` or the list's to be scored against, else the sensor's own.
 
     A press has `sphere_diameter_mm` as in a calibration, or `indenter` (what `load_indenter` takes; files beside the
-    list) with `depth_mm`, a place and perhaps `turn_deg`. Balls marked by centre and radius are moved by the sensor's
+    list) with `depth_mm`, a place and perhaps `turn_deg` and `shear_mm`. Balls marked by centre and radius are moved by the sensor's
     `marks_off`.
 
     Raises
@@ -128,6 +128,8 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
     ball, name = press.sphere_diameter_mm is not None, press.name
     if ball == (listed.indenter is not None):
         raise ValueError(f"{name} must have either sphere_diameter_mm or indenter")
+    if ball and any(listed.turn_deg + listed.shear_mm):
+        raise ValueError(f"{name}: turn_deg and shear_mm are for an indenter, as one of shape = \"sphere\"")
     has_place = press.has_place or (ball and listed.picture is not None)
     if not has_place or press.has_rough_marks:
         raise ValueError(f"{name} must have point_mm, or center_px with marks_off_px of at most 10")
@@ -147,9 +149,11 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
 
 def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
     roll_x_deg, roll_y_deg, twist_deg = listed.turn_deg
-    x_mm, y_mm = map(float, point_mm)
+    (x_mm, y_mm), (shear_x_mm, shear_y_mm) = map(float, point_mm), listed.shear_mm
     return Pose(
         listed.depth_mm,
+        shear_x_mm,
+        shear_y_mm,
         point_x_mm=x_mm,
         point_y_mm=y_mm,
         roll_deg=(roll_x_deg, roll_y_deg),

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from gelgap.assets.names import one_line
 from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
-from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
+from gelgap.render.calibration.pictures import NormalTable, PressPicture, check_presses
 from gelgap.render.calibration.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
@@ -49,14 +49,12 @@ class HeldOut:
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
-    is the reference, `table` a plain table of the presses that were fitted, `normals` one of their normals, for any
-    body; `draw` draws the picture as marked.
+    is the reference, `table` the table of normals of the presses that were fitted; `draw` draws the picture as marked.
     """
 
     name: str
     unchanged: tuple[float, float]
     table: tuple[float, float]
-    normals: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
     draw: Callable[[], np.ndarray] = field(repr=False)  # uint8 (h, w, 3)
@@ -183,7 +181,7 @@ def calibrate_light(
     for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
         other = task.fit(np.delete(used, part))
         without.append(other)
-        table = placed.table(other.which, degree)
+        table = other.normal_table()
         held_out += [_predicted(other, int(press), table) for press in used[part]]
     if held_out:
         _check_prediction(held_out)
@@ -243,7 +241,7 @@ def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> 
 
 
 def _check_prediction(held_out: Sequence[HeldOut]) -> None:
-    """Refuse a fit that is worse than the unchanged reference in a region; the plain table says what is wrong."""
+    """Refuse a fit that is worse than the unchanged reference in a region; the table of normals says what is wrong."""
     marked = np.median([press.marked for press in held_out], axis=0)
     unchanged = np.median([press.unchanged for press in held_out], axis=0)
     table = np.median([press.table for press in held_out], axis=0)
@@ -251,10 +249,10 @@ def _check_prediction(held_out: Sequence[HeldOut]) -> None:
         if fitted > least:
             continue
         advice = (
-            "a plain table of the same presses predicts them, so that pictures and marks belong together: check the "
+            "a table of normals of the same presses predicts them, so that pictures and marks belong together: check the "
             "spheres' diameters, the scale (mm per px or the camera's field of view) and depths or radii"
             if plain > least
-            else "nor does a plain table of the same presses: check that the reference, the pictures and their marks "
+            else "nor does a table of normals of the same presses: check that the reference, the pictures and their marks "
             "belong together, and that the presses are alike where they are near each other"
         )
         raise ValueError(
@@ -393,19 +391,16 @@ class LightTask:
         return FlatFieldMaps(ratio, loaded, offset, self.placed.dots)
 
 
-def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
+def _predicted(fit: LightFit, press: int, table: NormalTable) -> HeldOut:
     """Predict a press that the fit has not seen."""
     seen = fit.placed
     scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
     draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
-    plain = seen.at_level(press, table.picture(seen.centers_px[press]))
-    facing = seen.normals(press, expected_mm)
-    by_normal = fit.normal_table().picture(seen.clean_reference, facing, seen.camera)
+    plain = table.picture(seen.clean_reference, seen.normals(press, expected_mm), seen.camera)
     return HeldOut(
         seen.names[press],
         unchanged=seen.scores(press, seen.reference),
-        table=seen.scores(press, plain),
-        normals=seen.scores(press, seen.at_level(press, by_normal)),
+        table=seen.scores(press, seen.at_level(press, plain)),
         marked=seen.scores(press, draw(expected_mm, scored_mm)),
         refined=seen.scores(press, draw(fit.refined(press).presses[0], scored_mm)),
         draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)),

@@ -41,8 +41,8 @@ _LEAST_RESPONSE, _NOISE_RESPONSE = 0.03, 12.0
 class FoundMark:
     """The circle in which a ball touches, in pixels, and how well the picture says so.
 
-    `unexplained` is the share of the change, rms, that no normal of the ball explains; `beyond` the largest change
-    farther than two radii from the centre, in the largest one nearer; `shift_px` by how much the picture beyond the
+    `unexplained` is the share of the change, rms, that the ball's normals do not explain as all presses together show
+    them; `beyond` the largest change farther than two radii from the centre, in the largest one nearer; `shift_px` by how much the picture beyond the
     dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the ball leaves no larger contact.
     """
 
@@ -188,10 +188,12 @@ def _placed(
     return pose_px
 
 
-def _together(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
-    """Return (n, 3) centres and radii under one cubic of the normal, which is quadratic in the place of a press."""
+def _shared(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
+    """Return (n, 9, 3): one cubic of the normal at the place of each press; of few presses it is linear in that place.
+    """
     height, width = changes[0].clear.shape
-    places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, 2)
+    degree = 2 if len(changes) >= FEWEST_FOR_GAIN else 1
+    places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, degree)
     columns, real = [], []
     for change, pose, place in zip(changes, poses_px, places, strict=True):
         points, own = change.samples(pose)
@@ -202,13 +204,7 @@ def _together(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -
     for _ in range(3):
         coefficients = _coefficients(every, change_of_all, weight)
         weight = _weights(change_of_all - every @ coefficients)
-    by_place = coefficients.reshape(-1, len(places[0]), 3)
-    return np.array(
-        [
-            _placed(change, dents, pose, np.einsum("cpk,p->ck", by_place, place))
-            for change, pose, place in zip(changes, poses_px, places, strict=True)
-        ]
-    )
+    return np.einsum("cpk,np->nck", coefficients.reshape(-1, len(places[0]), 3), places)
 
 
 def find_marks(
@@ -239,16 +235,21 @@ def find_marks(
     found: list[FoundMark | None] = [None] * len(pictures)
     if not pressed:
         return found
-    dents, poses = _Dents.of(profiles, mm_per_px / scale), []
+    dents, dented, poses = _Dents.of(profiles, mm_per_px / scale), [changes[number] for number in pressed], []
     for number in pressed:
         pose = starts[number]
         for _ in range(_ROUNDS):
             pose = _placed(changes[number], dents, pose)
         poses.append(pose)
     for _ in range(_SHARED_ROUNDS if len(pressed) >= FEWEST_FOR_GAIN else 0):
-        poses = _together([changes[number] for number in pressed], dents, np.array(poses))
-    for number, pose in zip(pressed, poses, strict=True):
-        found[number] = _mark(own[number], small, changes[number], dents, pose, scale)
+        cubics = _shared(dented, dents, np.array(poses))
+        poses = [
+            _placed(change, dents, pose, cubic)
+            for change, pose, cubic in zip(dented, poses, cubics, strict=True)
+        ]
+    cubics = _shared(dented, dents, np.array(poses))
+    for number, pose, cubic in zip(pressed, poses, cubics, strict=True):
+        found[number] = _mark(own[number], small, changes[number], dents, pose, cubic, scale)
     return found
 
 
@@ -270,11 +271,12 @@ def _mark(
     change: _Change,
     dents: _Dents,
     pose_px: np.ndarray,
+    cubic: np.ndarray,
     scale: float,
 ) -> FoundMark:
     points, real = change.samples(pose_px)
     columns = dents.columns(points, pose_px)
-    error = real - columns @ _coefficients(columns, real, np.ones(len(points)))
+    error = real - columns @ cubic
     size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()

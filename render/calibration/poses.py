@@ -12,7 +12,6 @@ from gelgap.render.calibration.pictures import (
     LEAST_USABLE,
     SATURATED,
     FarField,
-    PlainTable,
     PressPicture,
     find_contact_mm,
     fit_gain,
@@ -127,12 +126,6 @@ class PlacedPresses:
         """Return a uint8 picture without dots at the level of a press's picture, with the reference's dots."""
         linear = srgb_decode(code / 255) * self.levels[press] * (1 if self.dots is None else self.dots)
         return np.round(255 * srgb_encode(linear)).astype(np.uint8)
-
-    def table(self, which: np.ndarray, degree: int) -> PlainTable:
-        """Return the plain table of some presses, from levelled pictures."""
-        pictures = (255 * srgb_encode(self.levelled(k)) for k in which)
-        marks = self.centers_px[which], self.radii_px[which]
-        return PlainTable.of(self.clean_reference, list(pictures), *marks, degree)
 
     def far_field(self, which: np.ndarray) -> FarField:
         """Return what some of the presses change where none reaches, from those parts of their pictures."""

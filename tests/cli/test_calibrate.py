@@ -50,7 +50,7 @@ def fitted_light() -> LightCalibration:
     maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
     angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
     picture = np.zeros((24, 32, 3), np.uint8)
-    held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (29, 28), (30, 31), (33, 34), lambda: picture)
+    held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (30, 31), (33, 34), lambda: picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
     illumination = sensor.illumination.model_copy(update={"scattered": Scattered()})
     return LightCalibration(
@@ -102,7 +102,7 @@ def test_what_makes_a_fit_doubtful_is_said(
 ) -> None:
     given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
     fit = fitted_light()
-    bad = HeldOut("press 2 (q.png)", (18, 24), (29, 30), (29, 28), (30, 21.5), (33, 34), fit.held_out[0].draw)
+    bad = HeldOut("press 2 (q.png)", (18, 24), (29, 30), (30, 21.5), (33, 34), fit.held_out[0].draw)
     monkeypatch.setattr("gelgap.cli.calibrate.held_out_pairs", lambda *_: [])
     for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
         found = replace(fit, held_out=held_out, at_limits=limits)
