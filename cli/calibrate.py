@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import isnan
+from math import atan2, degrees
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated
@@ -73,7 +73,8 @@ class Calibrate(opt.Command):
       gelgap calibrate boxes.toml --predict --sensor fitted.toml -o boxes.toml
 
     With --predict a press may be of another body: indenter = "box.toml", a file beside the list, or a preset, instead
-    of sphere_diameter_mm, with depth_mm, a place, and perhaps turn_deg = [0, 0, 30] and shear_mm = [0.3, 0]; and it needs no picture.
+    of sphere_diameter_mm, with depth_mm, a place, and perhaps turn_deg = [0, 0, 30] and shear_mm = [0.3, 0]; and it
+    needs no picture.
     """
 
     presses: tyro.conf.Positional[Path]
@@ -226,7 +227,7 @@ def doubt_of_scale(camera: "render.Camera", presses: "Sequence[render.PressPictu
 
 
 def report_lines(fit: "render.LightCalibration") -> list[str]:
-    """Return how well a fit predicts presses that it has not seen, and what it found, with standard errors."""
+    """Return how well a fit predicts presses that it has not seen, and what it found."""
     lines = [f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses"]
     if size := fit.sphere_size:
         tried = zip(size.tried_mm, size.rms_code_values, strict=True)
@@ -250,18 +251,17 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
     if fit.has_dots:
         lines.append("dots are left out of the fit and of these figures; predictions move them with the gel")
-    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg[:, 0], strict=True)
-    sides = ", ".join(f"{led.name or '?'} {round(azimuth, -1) % 360:.0f}°" for led, azimuth in leds)
+    places = [(led.name or "?", *led.position_mm[:2]) for led in fit.sensor.illumination.leds]
+    sides = ", ".join(f"{name} {round(degrees(atan2(y, x)), -1) % 360:.0f}°" for name, x, y in places)
     lines.append(
         f"light from about {sides} (0° right, 90° down); pictures hold an LED's direction to 8 to 20°, its size and "
         "distance hardly"
     )
     distance_mm = -fit.sensor.camera.position_mm[2]
-    distance = _with_error(distance_mm, distance_mm**2 * fit.nearness_error_per_mm)
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""
     blur_px = fit.sensor.camera.point_spread_px
     blur = f"point spread {blur_px:.1f} px of a picture 320 px wide" if blur_px else "sharp"
-    lines.append(f"camera {distance} mm from the gel{parallel}, {blur}")
+    lines.append(f"camera about {distance_mm:.0f} mm from the gel{parallel}, {blur}")
     depths = fit.poses_mm[:, 2]
     if fit.at_limits:
         lines.append(
@@ -318,8 +318,8 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
     for where, table, marked in predicted:
         if (better := median(table) - median(marked)) > DOUBTFUL_DB:
             warnings.append(
-                f"{where} the contact a table of normals of the same presses predicts {better:.1f} dB better: check the spheres' diameters, the scale and the marks; if they are right, the "
-                "sensor has light or shadows that the fit lacks"
+                f"{where} the contact a table of normals predicts {better:.1f} dB better: check spheres' diameters, "
+                "scale and marks; if they are right, the sensor has light or shadows that the fit lacks"
             )
     return warnings
 
@@ -337,10 +337,6 @@ def _worst(fit: "render.LightCalibration") -> tuple[float, str]:
 def _levels(fit: "render.LightCalibration", kind: str) -> list[tuple[float, ...]]:
     """Return the held-out presses' PSNR inside the contact, and around it; nothing if none is held out."""
     return list(zip(*(getattr(press, kind) for press in fit.held_out), strict=True))
-
-
-def _with_error(value: float, error: float) -> str:
-    return f"{value:.0f}" if isnan(error) else f"{value:.0f} ± {error:.0f}"
 
 
 def held_out_pairs(

@@ -3,14 +3,10 @@
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from gelgap import render, sim, view
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.view.marks import MarksPage
-    from gelgap.view.page import Page
 
 INSTALL = "pip install 'gelgap[view]'"
 
@@ -49,7 +45,15 @@ class View(opt.Command):
             raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
         import webbrowser
 
-        page = self._marks() if Path(self.sensor).is_dir() else self._press()
+        from gelgap.view.marks import MarksPage
+        from gelgap.view.state import Configuration
+
+        if (folder := Path(self.sensor)).is_dir():
+            page = MarksPage(folder, self.host, self.port)
+        else:
+            sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
+            configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
+            page = view.open_page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
             if not self.no_browser:
@@ -57,15 +61,3 @@ class View(opt.Command):
             page.wait()
         finally:
             page.close()
-
-    def _press(self) -> "Page":
-        from gelgap.view.state import Configuration
-
-        sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
-        configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
-        return view.open_page(configuration, self.host, self.port)
-
-    def _marks(self) -> "MarksPage":
-        from gelgap.view.marks import MarksPage
-
-        return MarksPage(Path(self.sensor), self.host, self.port)

@@ -121,7 +121,8 @@ def save_press_list(listed: PressList, path: Path) -> None:
 
 def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
     unexplained, beyond = (
-        float(np.median([getattr(mark, field) for mark in found.values()])) for field in ("unexplained", "beyond")
+        float(np.median([getattr(mark, field) for mark in found.values()]))
+        for field in ("unexplained", "beyond")
     )
     bad_from = min(_MOST_UNEXPLAINED, _MOST_OF_USUAL * unexplained)
     bad = [name for name, mark in found.items() if mark.unexplained > bad_from]
@@ -130,7 +131,7 @@ def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
     moved = [name for name, mark in found.items() if mark.shift_px > _MOST_SHIFT * width_px]
     doubts = []
     if bad:
-        doubts.append(f"not like the other dents of a ball, so look at picture and mark, or leave it out: {comma_list(bad)}")
+        doubts.append(f"not like the other dents of a ball, so look at mark and picture: {comma_list(bad)}")
     if second:
         doubts.append(f"something else than the marked dent, as a second imprint: {comma_list(second)}")
     if moved:

@@ -13,7 +13,13 @@ import numpy as np
 from gelgap.assets.image_file import read_image
 from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
 from gelgap.render import MembraneRenderer, PressPicture, Sensor
-from gelgap.render.calibration.pictures import ListedPress, NormalTable, PressList, check_press, read_press_list
+from gelgap.render.calibration.pictures import (
+    ListedPress,
+    NormalTable,
+    PressList,
+    check_press,
+    read_press_list,
+)
 from gelgap.render.calibration.poses import (
     LEAST_DOTS,
     SCORED_RADII,
@@ -57,8 +63,8 @@ def predict_presses(
     """Draw the presses of a list in TOML, with a `reference` or the list's to be scored against, else the sensor's own.
 
     A press has `sphere_diameter_mm` as in a calibration, or `indenter` (what `load_indenter` takes; files beside the
-    list) with `depth_mm`, a place and perhaps `turn_deg` and `shear_mm`. Balls marked by centre and radius are moved by the sensor's
-    `marks_off`.
+    list) with `depth_mm`, a place and perhaps `turn_deg` and `shear_mm`. Balls marked by centre and radius are moved by
+    the sensor's `marks_off`.
 
     Raises
     ------
@@ -129,7 +135,7 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
     if ball == (listed.indenter is not None):
         raise ValueError(f"{name} must have either sphere_diameter_mm or indenter")
     if ball and any(listed.turn_deg + listed.shear_mm):
-        raise ValueError(f"{name}: turn_deg and shear_mm are for an indenter, as one of shape = \"sphere\"")
+        raise ValueError(f'{name}: turn_deg and shear_mm are for an indenter, as one of shape = "sphere"')
     has_place = press.has_place or (ball and listed.picture is not None)
     if not has_place or press.has_rough_marks:
         raise ValueError(f"{name} must have point_mm, or center_px with marks_off_px of at most 10")

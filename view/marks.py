@@ -6,7 +6,6 @@ import threading
 from pathlib import Path
 
 import numpy as np
-import viser
 
 from gelgap.assets.image_file import read_image
 from gelgap.domains.press_folder import LIST, save_press_list
@@ -43,7 +42,9 @@ class MarksPage:
             raise ValueError(f"{path} must have reference and presses")
         for number, press in enumerate(self._listed.presses, start=1):
             if press.picture is None or press.center_px is None or press.radius_px is None:
-                raise ValueError(f"{path}: press {number} ({press.label}) must have picture, center_px and radius_px")
+                raise ValueError(
+                    f"{path}: press {number} ({press.label}) must have picture, center_px and radius_px"
+                )
         self._reference = read_image(folder / self._listed.reference)
         self._pictures = {press.picture: read_image(folder / press.picture) for press in self._listed.presses}
         self.presses: dict[str, ListedPress] = {press.picture: press for press in self._listed.presses}
@@ -97,7 +98,9 @@ class MarksPage:
         """Move the mark to where the handle is."""
         with self._lock:
             self._filling = True
-            self.x.value, self.y.value = (self.handle.position[:2] / self._unit + self._corner_px).round(1).tolist()
+            self.x.value, self.y.value = (
+                (self.handle.position[:2] / self._unit + self._corner_px).round(1).tolist()
+            )
             self._filling = False
             self._take()
 

@@ -199,18 +199,6 @@ class LightFit:
         start = light.bars.packed(fields)
         found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
         self.light = moved(found.x)
-        slopes = found.jac[: -len(start)]
-        self.information = slopes.T @ slopes, prior
-
-    def bar_errors(self) -> np.ndarray:
-        """Return (fields, leds): standard errors of the bars' geometry as it was searched last, at most the prior's.
-
-        Errors within a press are of one piece, so that a press counts as one observation: a bad fit knows little.
-        """
-        slopes, prior = self.information
-        variance = max(self.rms_code_values, 1.0) ** 2 * 3 * len(self.index) / len(self.presses)
-        covariance = np.linalg.inv(slopes / variance + np.diag(prior**-2.0))
-        return np.sqrt(np.diag(covariance)).reshape(-1, self.light.bars.count)
 
     def _search_distance(self, share: float) -> None:
         """Search the camera's distance, evenly in its inverse, in a share of its range."""

@@ -42,8 +42,9 @@ class FoundMark:
     """The circle in which a ball touches, in pixels, and how well the picture says so.
 
     `unexplained` is the share of the change, rms, that the ball's normals do not explain as all presses together show
-    them; `beyond` the largest change farther than two radii from the centre, in the largest one nearer; `shift_px` by how much the picture beyond the
-    dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the ball leaves no larger contact.
+    them; `beyond` the largest change farther than two radii from the centre, in the largest one nearer; `shift_px` by
+    how much the picture beyond the dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the
+    ball leaves no larger contact.
     """
 
     center_px: tuple[float, float]
@@ -175,7 +176,10 @@ def _placed(
     def weighted_error(pose: np.ndarray) -> np.ndarray:
         return (np.sqrt(weight)[:, None] * error(pose)).ravel()
 
-    smallest, size_px = max(dents.radii_px[0], _LEAST_RADIUS * change.clear.shape[1]), change.clear.shape[::-1]
+    smallest, size_px = (
+        max(dents.radii_px[0], _LEAST_RADIUS * change.clear.shape[1]),
+        change.clear.shape[::-1],
+    )
     radius = np.clip(pose_px[2], smallest, max(smallest, dents.radii_px[-1]))
     center_px = np.clip(pose_px[:2], 0, size_px)
     low = np.array([*(center_px - _MOST_MOVED * radius), max(_SHRINKS * radius, smallest) - 1e-3])
@@ -189,8 +193,7 @@ def _placed(
 
 
 def _shared(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
-    """Return (n, 9, 3): one cubic of the normal at the place of each press; of few presses it is linear in that place.
-    """
+    """Return (n, 9, 3): one cubic of the normal at each press's place, of few presses linear in it."""
     height, width = changes[0].clear.shape
     degree = 2 if len(changes) >= FEWEST_FOR_GAIN else 1
     places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, degree)

@@ -192,7 +192,9 @@ class PlacedPresses:
     def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): the normal that each pixel sees of a press."""
         index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
-        seen = SeenPoints.pressed(self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm))
+        seen = SeenPoints.pressed(
+            self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm)
+        )
         return seen.normals.reshape(self.reference.shape)
 
     def picture_of(

@@ -48,7 +48,6 @@ def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFix
 def fitted_light() -> LightCalibration:
     sensor = Sensor.preset("digit-like")
     maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
-    angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
     picture = np.zeros((24, 32, 3), np.uint8)
     held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (30, 31), (33, 34), lambda: picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
@@ -62,9 +61,6 @@ def fitted_light() -> LightCalibration:
         rms_code_values=3.21,
         names=(held_out.name,),
         held_out=(held_out,),
-        led_azimuths_deg=angles,
-        led_elevations_deg=angles,
-        nearness_error_per_mm=1e-4,
     )
 
 
@@ -78,8 +74,8 @@ def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     printed, known = capsys.readouterr().out, Sensor.load(tmp_path / "own.toml").known
     for said in (printed, known):
         assert "30.0 (30.0)" in said
-        assert re.search(r"light from about [^°]* 10°", said)
-        assert re.search(r"camera \d+ ± \d+ mm from the gel", said)
+        assert re.search(r"light from about [^°]* \d+°", said)
+        assert re.search(r"camera about \d+ mm from the gel", said)
     row = cv2.imread(str(tmp_path / "own-held-out" / "held-out-01.png"))
     assert row.shape == (24, 96, 3)
     assert (row[:, :64] == 0).all()

@@ -33,7 +33,7 @@ def test_a_moved_circle_and_a_press_left_out_are_saved(folder: Path) -> None:
     page = MarksPage(folder, "127.0.0.1", 0)
     try:
         page.x.value, page.radius.value = 25.5, 9.0
-        page.handle.position = page.handle.position + (0.0, 1.25, 0.0)  # 10 px down
+        page.handle.position = np.add(page.handle.position, (0.0, 1.25, 0.0))  # 10 px down
         page.drag()
         page.press.value = "b.png"
         assert (page.press.value, page.x.value, page.used.value) == ("b.png", 20.0, True)
