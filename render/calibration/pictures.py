@@ -277,7 +277,8 @@ class NormalTable:
     @staticmethod
     def columns(normals: np.ndarray, plane_mm: np.ndarray, half_view_mm: float) -> np.ndarray:
         """Return (n, 27) of normals (n, 3) at places of the flat membrane (n, 2)."""
-        place = monomials(*(plane_mm / half_view_mm).T, 1)
+        x, y = (plane_mm / half_view_mm).T
+        place = monomials(x, y, 1)
         by_normal = cubic_of_normal(*normals[:, :2].T)
         return (by_normal[:, :, None] * place[:, None]).reshape(len(normals), -1)
 
