@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 HELD_OUT = {
     "unchanged": "unchanged reference",
-    "table": "table of normals, without a light",
+    "table": "table of normals alone",
     "marked": "predicted, press as marked",
     "refined": "predicted, press refined",
 }

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gelgap.cli.calibrate import doubt_of_scale
 from gelgap.cli.main import main
-from gelgap.render import LightCalibration, Sensor
+from gelgap.render import Camera, LightCalibration, PressPicture, Sensor
 from gelgap.render.calibration.calibrator import HeldOut
 from gelgap.render.calibration.pictures import read_presses
 from gelgap.render.flat_field import FlatFieldMaps
@@ -110,6 +111,17 @@ def test_what_makes_a_fit_doubtful_is_said(
         assert (
             "at an end of the range that is searched, so that it may lie beyond: height of" in out
         ) == bool(limits)
+
+
+def test_contacts_that_are_small_for_their_ball_are_doubted() -> None:
+    picture, camera = np.zeros((60, 80, 3), np.uint8), Camera.showing(8.0)
+    said = doubt_of_scale(camera, [PressPicture(picture, 4.0, radius_px=8.0)])
+    assert said is not None
+    assert said.startswith(
+        "the ball touches in circles 0.40 times as wide as itself, and a picture shows 8.0 × 6.0 mm"
+    )
+    for fine in (PressPicture(picture, 4.0, radius_px=14.0), PressPicture(picture, 4.0, depth_mm=0.1)):
+        assert doubt_of_scale(camera, [fine]) is None
 
 
 @pytest.mark.parametrize(
