@@ -22,7 +22,7 @@ from gelgap.render.calibration.pictures import read_presses
 
 MODELS = {
     "the reference, unchanged": "unchanged",
-    "plain table, press as marked": "table",
+    "table of normals, as marked": "table",
     "gelgap, press as marked": "marked",
     "gelgap, press refined": "refined",
 }

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated
 
 from gelgap import render, sim, view
@@ -18,6 +19,7 @@ class View(opt.Command):
 
     For example:
       gelgap view
+      gelgap view --sensor ball-pictures
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
@@ -29,7 +31,7 @@ class View(opt.Command):
     illumination: opt.LightName = None
     """Illumination preset or TOML file to begin with."""
     sensor: str = "paper"
-    """Sensor preset or TOML file to begin with."""
+    """Sensor preset or TOML file to begin with; or a folder that calibrate has marked, to correct its presses."""
     port: Annotated[int, opt.between(0, 65535)] = 8080
     """Port of the page; 0 takes any free one."""
     host: str = "127.0.0.1"
@@ -43,11 +45,15 @@ class View(opt.Command):
             raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
         import webbrowser
 
+        from gelgap.view.marks import MarksPage
         from gelgap.view.state import Configuration
 
-        sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
-        configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
-        page = view.open_page(configuration, self.host, self.port)
+        if (folder := Path(self.sensor)).is_dir():
+            page = MarksPage(folder, self.host, self.port)
+        else:
+            sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
+            configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
+            page = view.open_page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
             if not self.no_browser:

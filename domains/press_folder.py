@@ -20,6 +20,7 @@ from gelgap.domains.formats.convert import VIDEOS, video_pictures
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.render import difference_picture
 from gelgap.render.calibration.marks import FoundMark, find_marks
+from gelgap.render.calibration.pictures import ListedPress, PressList
 
 LIST, SHEET = "presses.toml", "presses-sheet.png"
 _NAMED_REFERENCE = re.compile(
@@ -29,8 +30,11 @@ _SMALL_PX = (80, 60)
 # An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,
 # and what that has at most of the next smallest.
 _NO_IMPRINT, _MOST_IMPRINT, _CLEARLY_LESS = 0.3, 0.7, 0.85
-# Dents of balls on real sensors leave 0.1 to 0.21 unexplained; another body, or two imprints, more than 0.33.
-_MOST_UNEXPLAINED, _MOST_SHIFT = 0.3, 0.01  # the latter of the width
+# Dents of balls leave 0.1 to 0.3 unexplained on real sensors, at most 1.9 times the usual; other bodies, mirrored and
+# darker pictures more than 0.35, or 2.4 times.
+_MOST_UNEXPLAINED, _MOST_OF_USUAL, _MOST_SHIFT = 0.33, 2.2, 0.01  # the last of the width
+# What changes beyond a dent, by the share of its own change: shadows at most 1.3 times the usual, another imprint 1.5.
+_BEYOND_OF_USUAL, _BEYOND_AT_LEAST = 1.2, 0.1
 # Of the largest change in a video: more is a press, less is rest; at a press's end all is nearly as deep.
 _PRESSED, _AT_REST, _DEEPEST = 0.3, 0.1, 0.9
 _FEWEST_FRAMES = 3
@@ -87,25 +91,49 @@ def mark_presses(
             f"diameter leaves at most ({most_px:.0f} px at {mm_per_px:g} mm per px), or larger: check --ball-mm and "
             "--mm-per-px"
         )
-    text = _HEAD.format(sheet=SHEET, list=LIST) + tomli_w.dumps({"reference": rest, "mm_per_px": mm_per_px})
-    for name, mark in found.items():
-        (x, y), radius = mark.center_px, mark.radius_px
-        text += "\n[[presses]]\n" + tomli_w.dumps({"picture": name, "sphere_diameter_mm": ball_mm})
-        text += f"center_px = [{x:.1f}, {y:.1f}]\nradius_px = {radius:.1f}\n"
+    presses = tuple(
+        ListedPress(
+            picture=name, sphere_diameter_mm=ball_mm, center_px=mark.center_px, radius_px=mark.radius_px
+        )
+        for name, mark in found.items()
+    )
     write_whole(
         folder / SHEET, encode_png(_sheet(flat, [(name, pictures[name], found[name]) for name in found]))
     )
-    write_whole(path, text.encode())
+    save_press_list(PressList(presses=presses, reference=rest, mm_per_px=mm_per_px), path)
     without = tuple(name for name, mark in marks.items() if mark is None)
     return FoundPresses(path, len(found), without, tuple(_doubts(found, flat.shape[1])))
 
 
+def save_press_list(listed: PressList, path: Path) -> None:
+    """Write a list of presses, whose centres and radii are rounded to 0.1 px."""
+    text = _HEAD.format(sheet=SHEET, list=LIST) + tomli_w.dumps(
+        listed.model_dump(exclude={"presses"}, exclude_none=True)
+    )
+    for press in listed.presses:
+        text += "\n[[presses]]\n" + tomli_w.dumps(
+            press.model_dump(exclude={"center_px", "radius_px"}, exclude_defaults=True)
+        )
+        text += "" if press.center_px is None else "center_px = [{:.1f}, {:.1f}]\n".format(*press.center_px)
+        text += "" if press.radius_px is None else f"radius_px = {press.radius_px:.1f}\n"
+    write_whole(path, text.encode())
+
+
 def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
-    bad = [name for name, mark in found.items() if mark.unexplained > _MOST_UNEXPLAINED]
+    unexplained, beyond = (
+        float(np.median([getattr(mark, field) for mark in found.values()]))
+        for field in ("unexplained", "beyond")
+    )
+    bad_from = min(_MOST_UNEXPLAINED, _MOST_OF_USUAL * unexplained)
+    bad = [name for name, mark in found.items() if mark.unexplained > bad_from]
+    second_from = _BEYOND_OF_USUAL * beyond + _BEYOND_AT_LEAST
+    second = [name for name, mark in found.items() if mark.beyond > second_from]
     moved = [name for name, mark in found.items() if mark.shift_px > _MOST_SHIFT * width_px]
     doubts = []
     if bad:
-        doubts.append(f"not like a ball's dent, so look at their marks or leave them out: {comma_list(bad)}")
+        doubts.append(f"not like the other dents of a ball, so look at mark and picture: {comma_list(bad)}")
+    if second:
+        doubts.append(f"something else than the marked dent, as a second imprint: {comma_list(second)}")
     if moved:
         most_px = max(mark.shift_px for mark in found.values())
         doubts.append(

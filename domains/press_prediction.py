@@ -13,13 +13,20 @@ import numpy as np
 from gelgap.assets.image_file import read_image
 from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
 from gelgap.render import MembraneRenderer, PressPicture, Sensor
-from gelgap.render.calibration.pictures import ListedPress, PressList, check_press, read_press_list
+from gelgap.render.calibration.pictures import (
+    ListedPress,
+    NormalTable,
+    PressList,
+    check_press,
+    read_press_list,
+)
 from gelgap.render.calibration.poses import (
     LEAST_DOTS,
     SCORED_RADII,
     expected_from_mark,
     found_dots,
     located,
+    radii_away,
     start_pose,
 )
 from gelgap.render.calibration.profiles import PressProfiles
@@ -30,11 +37,14 @@ from gelgap.sim.plan import plan_visit
 
 _BEYOND_VIEW = 1.3
 Levels = tuple[float, float]
+Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]  # x_mm, y_mm, displacement_mm
 
 
 @dataclass(frozen=True)
 class PredictedPress:
     """A press as drawn, uint8 (h, w, 3); its real picture and PSNR in dB inside the contact and around it, if known.
+
+    `table` is what the fit's table of normals predicts of the same membrane.
 
     Around a ball's contact is from one to two radii; around another body's as far as a disc of its area has radius.
     """
@@ -43,6 +53,7 @@ class PredictedPress:
     picture: np.ndarray = field(repr=False)
     real: np.ndarray | None = field(repr=False)
     predicted: Levels | None
+    table: Levels | None  # of normals, if the fit has one
     unchanged: Levels | None
 
 
@@ -52,8 +63,8 @@ def predict_presses(
     """Draw the presses of a list in TOML, with a `reference` or the list's to be scored against, else the sensor's own.
 
     A press has `sphere_diameter_mm` as in a calibration, or `indenter` (what `load_indenter` takes; files beside the
-    list) with `depth_mm`, a place and perhaps `turn_deg`. Balls marked by centre and radius are moved by the sensor's
-    `marks_off`.
+    list) with `depth_mm`, a place and perhaps `turn_deg` and `shear_mm`. Balls marked by centre and radius are moved by
+    the sensor's `marks_off`.
 
     Raises
     ------
@@ -81,13 +92,13 @@ def predict_presses(
     for listed_press, press, body in zip(listed.presses, presses, bodies, strict=True):
         try:
             if body is None:
-                own = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
+                membrane, inside = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
             else:
-                own = _of_body(renderer, listed_press, press, body, quality)
+                membrane, inside = _of_body(renderer, listed_press, press, body, quality)
+            real = press.picture if listed_press.picture else None
+            found.append(_scored(renderer, press.name, membrane, inside, real, untouched))
         except ValueError as error:
             raise ValueError(f"{path}: {press.name}: {error}") from None
-        real = press.picture if listed_press.picture else None
-        found.append(_scored(press.name, *own, real, untouched))
     return found
 
 
@@ -123,6 +134,8 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
     ball, name = press.sphere_diameter_mm is not None, press.name
     if ball == (listed.indenter is not None):
         raise ValueError(f"{name} must have either sphere_diameter_mm or indenter")
+    if ball and any(listed.turn_deg + listed.shear_mm):
+        raise ValueError(f'{name}: turn_deg and shear_mm are for an indenter, as one of shape = "sphere"')
     has_place = press.has_place or (ball and listed.picture is not None)
     if not has_place or press.has_rough_marks:
         raise ValueError(f"{name} must have point_mm, or center_px with marks_off_px of at most 10")
@@ -142,9 +155,11 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
 
 def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
     roll_x_deg, roll_y_deg, twist_deg = listed.turn_deg
-    x_mm, y_mm = map(float, point_mm)
+    (x_mm, y_mm), (shear_x_mm, shear_y_mm) = map(float, point_mm), listed.shear_mm
     return Pose(
         listed.depth_mm,
+        shear_x_mm,
+        shear_y_mm,
         point_x_mm=x_mm,
         point_y_mm=y_mm,
         roll_deg=(roll_x_deg, roll_y_deg),
@@ -154,8 +169,8 @@ def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
 
 def _of_ball(
     renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the picture of a ball, moved by the marks' habit, and where its mark says that it touches (h, w)."""
+) -> tuple[Membrane, np.ndarray]:
+    """Return the membrane around a ball, moved by the marks' habit, and where its mark says that it touches (h, w)."""
     camera, size_px = renderer.sensor.camera, renderer.size_px
     press = located(press, untouched, camera)
     pose, radius_px = start_pose(camera, press, profiles, size_px)
@@ -163,15 +178,14 @@ def _of_ball(
     if press.radius_px is not None and (off := renderer.sensor.marks_off) is not None:
         pose = expected_from_mark(pose, np.array(off), profiles)
     half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
-    picture = renderer.picture(*profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm)))
-    rows, columns = np.indices(picture.shape[:2])
-    return picture, np.hypot(columns - center_px[0], rows - center_px[1]) < radius_px
+    membrane = profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm))
+    return membrane, radii_away(untouched, center_px, radius_px) < 1
 
 
 def _of_body(
     renderer: MembraneRenderer, listed: ListedPress, press: PressPicture, body: Indenter, quality: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the picture of a body, and where it touches (h, w)."""
+) -> tuple[Membrane, np.ndarray]:
+    """Return the membrane around a body, and where it touches (h, w)."""
     camera = renderer.sensor.camera
     point_mm = press.point_mm
     if point_mm is None:
@@ -185,23 +199,35 @@ def _of_body(
             f"{press.name}: the contact does not converge; try another --quality, or less depth"
         )
     membrane = state.x_mm, state.y_mm, state.displacement_mm
-    return renderer.picture(*membrane), renderer.contact_mask(*membrane, state.contact)
+    return membrane, renderer.contact_mask(*membrane, state.contact)
 
 
 def _scored(
-    name: str, picture: np.ndarray, inside: np.ndarray, real: np.ndarray | None, untouched: np.ndarray
+    renderer: MembraneRenderer,
+    name: str,
+    membrane: Membrane,
+    inside: np.ndarray,
+    real: np.ndarray | None,
+    untouched: np.ndarray,
 ) -> PredictedPress:
     from scipy.ndimage import distance_transform_edt
 
+    picture, sensor = renderer.picture(*membrane), renderer.sensor
     if real is None:
-        return PredictedPress(name, picture, None, None, None)
+        return PredictedPress(name, picture, None, None, None, None)
     if not inside.any():
         raise ValueError("the contact lies outside of the picture")
     away_px = distance_transform_edt(~inside)
     ring = ~inside & (away_px <= (SCORED_RADII - 1) * np.sqrt(inside.sum() / np.pi))
     dots = found_dots(untouched)
     clear = ~(dots | found_dots(real)) if dots.mean() > LEAST_DOTS else np.ones_like(inside)
-    predicted, unchanged = (
-        (psnr_db(own, real, inside & clear), psnr_db(own, real, ring & clear)) for own in (picture, untouched)
-    )
-    return PredictedPress(name, picture, real, predicted, unchanged)
+
+    def levels(own: np.ndarray) -> Levels:
+        return psnr_db(own, real, inside & clear), psnr_db(own, real, ring & clear)
+
+    table = None
+    if sensor.normal_table is not None:
+        half_view_mm = sensor.camera.footprint_mm(renderer.size_px)[0] / 2
+        own = NormalTable(np.array(sensor.normal_table), half_view_mm)
+        table = levels(own.picture(untouched, renderer.normal_map(*membrane), sensor.camera))
+    return PredictedPress(name, picture, real, levels(picture), table, levels(untouched))

@@ -201,11 +201,12 @@ class DomainRecipe(Settings):
     def configuration(self) -> dict[str, Any]:
         """Return the recipe as plain JSON values; what only some domains have, only for these."""
         absent = {
-            name
+            name: True
             for name in ("further_indenters", "interpolated", "library_reach_mm")
             if not getattr(self, name)
         }
-        return self.model_dump(mode="json", exclude=absent)
+        # What a sensor's fit keeps for predicting marked presses is nothing that a domain depends on.
+        return self.model_dump(mode="json", exclude=absent | {"sensor": {"marks_off", "normal_table"}})
 
     @property
     def key(self) -> str:

@@ -230,6 +230,13 @@ class MembraneRenderer:
         surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
         return -self._gather(self._geometry(surface), surface.positions_mm)[..., 2]
 
+    def normal_map(
+        self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
+    ) -> np.ndarray:
+        """Return float32 (h, w, 3): the membrane's unit normal in each pixel, towards the camera (−z)."""
+        surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
+        return self._gather(self._geometry(surface), surface.normals)
+
     def contact_mask(
         self,
         x_mm: np.ndarray,

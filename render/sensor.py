@@ -29,6 +29,7 @@ from gelgap.render.light.leds import Illumination
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
 _Share = Annotated[float, Field(ge=-10, le=10)]
+_Code = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Row = tuple[_Share, _Share, _Share]
 
 
@@ -225,6 +226,15 @@ class Sensor(PresetSettings):
         exclude_if=lambda value: value is None,
         repr=False,
         description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
+    )
+
+    normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        repr=False,
+        min_length=27,
+        max_length=27,
+        description="change in code values by the membrane's normal and place, which predictions are compared with",
     )
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:

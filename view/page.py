@@ -59,7 +59,7 @@ class Page:
         make_solver: Callable[[Callable[[Answer], None]], Solver] = Solver,
     ) -> None:
         start.library_keys()
-        self._server = _start_server(host, port)
+        self._server = start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         self.shown: Shown | None = None
         """What the page shows now."""
@@ -201,7 +201,7 @@ class Page:
         return {"gap.toml": content}
 
 
-def _start_server(host: str, port: int) -> viser.ViserServer:
+def start_server(host: str, port: int) -> viser.ViserServer:
     """Start viser's server; port 0 takes any free one.
 
     Raises

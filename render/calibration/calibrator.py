@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from gelgap.assets.names import one_line
 from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
-from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
+from gelgap.render.calibration.pictures import NormalTable, PressPicture, check_presses
 from gelgap.render.calibration.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
@@ -49,7 +49,7 @@ class HeldOut:
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
-    is the reference, `table` a plain table of the presses that were fitted; `draw` draws the picture as marked.
+    is the reference, `table` the table of normals of the presses that were fitted; `draw` draws the picture as marked.
     """
 
     name: str
@@ -92,11 +92,7 @@ class LightCalibration:
     # (presses, 3): brightness far from the contacts over the reference's, which the fit takes out
     levels: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     has_dots: bool = False
-    # (leds, 2): value, standard error
-    led_azimuths_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
-    led_elevations_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     sphere_size: SphereSize | None = None  # of an unknown sphere
-    nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
     at_limits: tuple[str, ...] = ()  # what was fitted to an end of the range that is searched, in words
 
     def __repr__(self) -> str:
@@ -177,20 +173,13 @@ def calibrate_light(
             fit = others
         elif len(outliers):
             fit = task.fit(np.setdiff1d(everything, outliers))
-    used, held_out, without = fit.which, [], []
+    used, held_out = fit.which, []
     for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
         other = task.fit(np.delete(used, part))
-        without.append(other)
-        table = placed.table(other.which, degree)
+        table = other.normal_table()
         held_out += [_predicted(other, int(press), table) for press in used[part]]
     if held_out:
         _check_prediction(held_out)
-    angles = led_angles(fit.light.bars)
-    off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
-    off[:, 0] = (off[:, 0] + 180) % 360 - 180
-    spread = np.fmax(_jackknife_error(off), _angle_errors(fit))
-    azimuths, elevations = np.stack([angles, spread], axis=-1)
-    nearness_error = _jackknife_error(np.array([1 / other.distance_mm for other in without]))
     lit, volumes = task.lit_sensor(fit), []
     for k, pose in zip(fit.which, fit.presses, strict=True):
         volumes.append(placed.profiles[k].volume_mm3(pose[2]))
@@ -206,11 +195,8 @@ def calibrate_light(
         held_out=tuple(held_out),
         levels=placed.levels[used],
         has_dots=placed.has_dots,
-        led_azimuths_deg=azimuths,
-        led_elevations_deg=elevations,
         sphere_size=size,
         at_limits=tuple(_at_limits(fit, [led.name for led in sensor.illumination.leds])),
-        nearness_error_per_mm=float("nan") if keep_camera else float(nearness_error),
     )
 
 
@@ -241,7 +227,7 @@ def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> 
 
 
 def _check_prediction(held_out: Sequence[HeldOut]) -> None:
-    """Refuse a fit that is worse than the unchanged reference in a region; the plain table says what is wrong."""
+    """Refuse a fit that is worse than the unchanged reference in a region; the table of normals says what is wrong."""
     marked = np.median([press.marked for press in held_out], axis=0)
     unchanged = np.median([press.unchanged for press in held_out], axis=0)
     table = np.median([press.table for press in held_out], axis=0)
@@ -249,28 +235,16 @@ def _check_prediction(held_out: Sequence[HeldOut]) -> None:
         if fitted > least:
             continue
         advice = (
-            "a plain table of the same presses predicts them, so that pictures and marks belong together: check the "
+            "their table of normals predicts them, so that pictures and marks belong together: check the "
             "spheres' diameters, the scale (mm per px or the camera's field of view) and depths or radii"
             if plain > least
-            else "nor does a plain table of the same presses: check that the reference, the pictures and their marks "
+            else "nor does their table of normals: check that the reference, the pictures and their marks "
             "belong together, and that the presses are alike where they are near each other"
         )
         raise ValueError(
             f"{where} the contact the fit predicts presses that it has not seen worse than the unchanged reference "
             f"picture does ({fitted:.1f} against {least:.1f} dB); {advice} ({plain:.1f} dB)"
         )
-
-
-def _angle_errors(fit: LightFit) -> np.ndarray:
-    """Return (2, leds): what the residuals leave of azimuth and elevation uncertain, in degrees."""
-    azimuth, distance, height, *_ = fit.bar_errors()
-    elevation = np.radians(led_angles(fit.light.bars)[1])
-    return np.degrees([azimuth, np.sin(2 * elevation) / 2 * np.hypot(distance, height)])
-
-
-def led_angles(bars: Bars) -> np.ndarray:
-    """Return (2, leds): azimuth and elevation in degrees."""
-    return np.degrees([np.angle(np.exp(1j * bars.azimuth)), np.arctan2(bars.height, bars.distance)])
 
 
 def _at_limits(fit: LightFit, names: Sequence[str]) -> Iterator[str]:
@@ -285,14 +259,6 @@ def _at_limits(fit: LightFit, names: Sequence[str]) -> Iterator[str]:
             yield f"the camera's distance ({fit.distance_mm:.1f} mm)"
         if fit.camera.point_spread_px >= MOST_BLUR_PX:
             yield f"the camera's point spread ({fit.camera.point_spread_px:.1f} px of a picture 320 px wide)"
-
-
-def _jackknife_error(values: np.ndarray) -> np.ndarray:
-    """Return the standard error of what was fitted without one part of the presses each time; NaN for no fit."""
-    groups = len(values)
-    if groups < 2:
-        return np.full(values.shape[1:], np.nan)
-    return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
 
 
 def _suspects(fit: LightFit) -> np.ndarray:
@@ -368,6 +334,7 @@ class LightTask:
             "illumination": illumination,
             "flat_field": None,
             "marks_off": self._marks_off(fit),
+            "normal_table": tuple(map(tuple, fit.normal_table().coefficients.tolist())),
         }
         return self.sensor.model_copy(update=update)
 
@@ -390,16 +357,16 @@ class LightTask:
         return FlatFieldMaps(ratio, loaded, offset, self.placed.dots)
 
 
-def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
+def _predicted(fit: LightFit, press: int, table: NormalTable) -> HeldOut:
     """Predict a press that the fit has not seen."""
     seen = fit.placed
     scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
     draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
-    plain = seen.at_level(press, table.picture(seen.centers_px[press]))
+    plain = table.picture(seen.clean_reference, seen.normals(press, expected_mm), seen.camera)
     return HeldOut(
         seen.names[press],
         unchanged=seen.scores(press, seen.reference),
-        table=seen.scores(press, plain),
+        table=seen.scores(press, seen.at_level(press, plain)),
         marked=seen.scores(press, draw(expected_mm, scored_mm)),
         refined=seen.scores(press, draw(fit.refined(press).presses[0], scored_mm)),
         draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)),

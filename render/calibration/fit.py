@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
-from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
+from gelgap.render.calibration.pictures import DARK, SATURATED, FarField, NormalTable
 from gelgap.render.calibration.poses import LEAST_DEPTH_MM, PlacedPresses
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
@@ -20,6 +20,7 @@ from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 RIDGE = 0.1
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
 REFERENCE_WEIGHT = 0.1
+TABLE_RIDGE = 1e-3
 # Flat light is smooth, so that one pixel of this many is enough.
 _REFERENCE_STEP = 4
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
@@ -198,18 +199,6 @@ class LightFit:
         start = light.bars.packed(fields)
         found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
         self.light = moved(found.x)
-        slopes = found.jac[: -len(start)]
-        self.information = slopes.T @ slopes, prior
-
-    def bar_errors(self) -> np.ndarray:
-        """Return (fields, leds): standard errors of the bars' geometry as it was searched last, at most the prior's.
-
-        Errors within a press are of one piece, so that a press counts as one observation: a bad fit knows little.
-        """
-        slopes, prior = self.information
-        variance = max(self.rms_code_values, 1.0) ** 2 * 3 * len(self.index) / len(self.presses)
-        covariance = np.linalg.inv(slopes / variance + np.diag(prior**-2.0))
-        return np.sqrt(np.diag(covariance)).reshape(-1, self.light.bars.count)
 
     def _search_distance(self, share: float) -> None:
         """Search the camera's distance, evenly in its inverse, in a share of its range."""
@@ -292,6 +281,15 @@ class LightFit:
         at = self.start_presses - middle
         slopes = np.linalg.solve(at.T @ at + _HABIT_RIDGE_MM2 * np.eye(3), at.T @ off)
         return np.vstack([off.mean(axis=0) - middle @ slopes, slopes])
+
+    def normal_table(self) -> NormalTable:
+        """Return the table of normals of the fitted presses, where the fit sees them."""
+        half_mm, untouched = self.placed.half_view_mm, 255 * srgb_encode(self.base * self.factor)
+        columns = NormalTable.columns(self._seen(self.presses).normals, self.plane_mm, half_mm)
+        normal = columns.T @ columns
+        normal[np.diag_indices_from(normal)] += TABLE_RIDGE * np.trace(normal) / len(normal)
+        change = (self.code - untouched) * self.usable
+        return NormalTable(np.linalg.solve(normal, columns.T @ change), half_mm)
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""

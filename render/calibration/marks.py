@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots
+from gelgap.render.calibration.pictures import cubic_of_normal
+from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots, radii_away
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.light.scattered import monomials
 
@@ -28,8 +29,9 @@ _SAMPLES, _REACH = (
 _RADII = 60
 _ROUNDS, _SHARED_ROUNDS, _EVALUATIONS = 4, 4, 8
 _MOST_MOVED, _SHRINKS, _GROWS = 0.6, 0.6, 1.5  # of the radius, in a round
+_LEAST_RADIUS = 1 / 40  # of the width; smaller ones may lie on a dot
 _RIDGE = 1e-4
-_FAR = 2.5  # radii
+_BEYOND, _FAR = 2.0, 2.5  # radii
 _DETAIL_PX = 3.0
 # Of a phase correlation; noise alone has less than 11 over the square root of its pixels.
 _LEAST_RESPONSE, _NOISE_RESPONSE = 0.03, 12.0
@@ -39,14 +41,16 @@ _LEAST_RESPONSE, _NOISE_RESPONSE = 0.03, 12.0
 class FoundMark:
     """The circle in which a ball touches, in pixels, and how well the picture says so.
 
-    `unexplained` is the share of the change, rms, that no normal of the ball explains; `shift_px` by how much
-    the picture beyond the dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the ball
-    leaves no larger contact.
+    `unexplained` is the share of the change, rms, that the ball's normals do not explain as all presses together show
+    them; `beyond` the largest change farther than two radii from the centre, in the largest one nearer; `shift_px` by
+    how much the picture beyond the dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the
+    ball leaves no larger contact.
     """
 
     center_px: tuple[float, float]
     radius_px: float
     unexplained: float
+    beyond: float
     shift_px: float
     is_largest: bool
 
@@ -76,7 +80,7 @@ class _Dents:
         row = self.slopes[lower] + (at - lower) * (self.slopes[lower + 1] - self.slopes[lower])
         slope = np.interp(distance / self.step_px, np.arange(len(row)), row, right=0.0)
         x, y = slope / np.sqrt(1 + slope**2) / distance * away.T
-        return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+        return cubic_of_normal(x, y)
 
 
 @dataclass(frozen=True)
@@ -110,7 +114,7 @@ class _Change:
         oddness = -np.fft.irfft2((spectrum**2).sum(axis=2), (2 * height, 2 * width))
         row, column = np.array(np.unravel_index(oddness.argmax(), oddness.shape)) / 2
         angle = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)
-        radii = np.arange(2.0, min(height, width) // 2)[:, None]
+        radii = np.arange(_LEAST_RADIUS * width, min(height, width) // 2)[:, None]
         x, y = column + radii * np.cos(angle), row + radii * np.sin(angle)
         around = cv2.remap(self.coarse, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
         seen = (x >= 0) & (x < width - 1) & (y >= 0) & (y < height - 1)
@@ -172,9 +176,14 @@ def _placed(
     def weighted_error(pose: np.ndarray) -> np.ndarray:
         return (np.sqrt(weight)[:, None] * error(pose)).ravel()
 
-    radius = np.clip(pose_px[2], dents.radii_px[0], dents.radii_px[-1])
-    low = np.array([*(pose_px[:2] - _MOST_MOVED * radius), max(_SHRINKS * radius, dents.radii_px[0] - 1e-3)])
-    high = np.array([*(pose_px[:2] + _MOST_MOVED * radius), min(_GROWS * radius, dents.radii_px[-1] + 1e-3)])
+    smallest, size_px = (
+        max(dents.radii_px[0], _LEAST_RADIUS * change.clear.shape[1]),
+        change.clear.shape[::-1],
+    )
+    radius = np.clip(pose_px[2], smallest, max(smallest, dents.radii_px[-1]))
+    center_px = np.clip(pose_px[:2], 0, size_px)
+    low = np.array([*(center_px - _MOST_MOVED * radius), max(_SHRINKS * radius, smallest) - 1e-3])
+    high = np.array([*(center_px + _MOST_MOVED * radius), min(_GROWS * radius, dents.radii_px[-1]) + 1e-3])
     for _ in range(2):
         start = np.clip(pose_px, low + 1e-4, high - 1e-4)
         options = {"bounds": (low, high), "diff_step": 2e-3, "max_nfev": _EVALUATIONS}
@@ -183,10 +192,11 @@ def _placed(
     return pose_px
 
 
-def _together(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
-    """Return (n, 3) centres and radii under one cubic of the normal, which is quadratic in the place of a press."""
+def _shared(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
+    """Return (n, 9, 3): one cubic of the normal at each press's place, of few presses linear in it."""
     height, width = changes[0].clear.shape
-    places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, 2)
+    degree = 2 if len(changes) >= FEWEST_FOR_GAIN else 1
+    places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, degree)
     columns, real = [], []
     for change, pose, place in zip(changes, poses_px, places, strict=True):
         points, own = change.samples(pose)
@@ -197,13 +207,7 @@ def _together(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -
     for _ in range(3):
         coefficients = _coefficients(every, change_of_all, weight)
         weight = _weights(change_of_all - every @ coefficients)
-    by_place = coefficients.reshape(-1, len(places[0]), 3)
-    return np.array(
-        [
-            _placed(change, dents, pose, np.einsum("cpk,p->ck", by_place, place))
-            for change, pose, place in zip(changes, poses_px, places, strict=True)
-        ]
-    )
+    return np.einsum("cpk,np->nck", coefficients.reshape(-1, len(places[0]), 3), places)
 
 
 def find_marks(
@@ -234,16 +238,21 @@ def find_marks(
     found: list[FoundMark | None] = [None] * len(pictures)
     if not pressed:
         return found
-    dents, poses = _Dents.of(profiles, mm_per_px / scale), []
+    dents, dented, poses = _Dents.of(profiles, mm_per_px / scale), [changes[number] for number in pressed], []
     for number in pressed:
         pose = starts[number]
         for _ in range(_ROUNDS):
             pose = _placed(changes[number], dents, pose)
         poses.append(pose)
     for _ in range(_SHARED_ROUNDS if len(pressed) >= FEWEST_FOR_GAIN else 0):
-        poses = _together([changes[number] for number in pressed], dents, np.array(poses))
-    for number, pose in zip(pressed, poses, strict=True):
-        found[number] = _mark(own[number], small, changes[number], dents, pose, scale)
+        cubics = _shared(dented, dents, np.array(poses))
+        poses = [
+            _placed(change, dents, pose, cubic)
+            for change, pose, cubic in zip(dented, poses, cubics, strict=True)
+        ]
+    cubics = _shared(dented, dents, np.array(poses))
+    for number, pose, cubic in zip(pressed, poses, cubics, strict=True):
+        found[number] = _mark(own[number], small, changes[number], dents, pose, cubic, scale)
     return found
 
 
@@ -251,8 +260,7 @@ def _shift_px(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -
     """Return by how much dust and seams beyond a dent are shifted, by phase correlation."""
     import cv2
 
-    rows, columns = np.indices(picture.shape[:2])
-    far = np.hypot(columns - pose_px[0], rows - pose_px[1]) > _FAR * pose_px[2]
+    far = radii_away(picture, pose_px[:2], pose_px[2]) > _FAR
     grey = [image.mean(axis=2).astype(np.float32) for image in (reference, picture)]
     detail = [(own - cv2.GaussianBlur(own, (0, 0), _DETAIL_PX)) * far for own in grey]
     (x, y), response = cv2.phaseCorrelate(*(own.astype(float) for own in detail))
@@ -266,17 +274,20 @@ def _mark(
     change: _Change,
     dents: _Dents,
     pose_px: np.ndarray,
+    cubic: np.ndarray,
     scale: float,
 ) -> FoundMark:
     points, real = change.samples(pose_px)
     columns = dents.columns(points, pose_px)
-    error = real - columns @ _coefficients(columns, real, np.ones(len(points)))
+    error = real - columns @ cubic
+    size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()
     return FoundMark(
         center_px=(x, y),
         radius_px=radius,
         unexplained=float(np.sqrt((error**2).sum() / max((real**2).sum(), 1e-9))),
+        beyond=float(size.max(where=far, initial=0) / size.max(where=~far, initial=1e-9)),
         shift_px=_shift_px(picture, reference, pose_px) / scale,
         is_largest=bool(pose_px[2] > 0.995 * dents.radii_px[-1]),
     )

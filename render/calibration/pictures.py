@@ -25,8 +25,6 @@ LARGEST_MARKS_OFF_PX = 100.0
 _ROUGH_PX = 10.0
 _MOST_SATURATED, LEAST_USABLE = 0.95, 0.05  # shares of values
 _LEAST_CHANGE = 5.0  # code values
-# The plain table: bins, reach in contact radii, and what draws entries to be the same everywhere.
-RADII, DIRECTIONS, REACH, RIDGE = 80, 72, 4.0, 0.003
 
 
 @dataclass(frozen=True)
@@ -80,6 +78,7 @@ class ListedPress(Settings):
     marks_off_px: float = 3.0
     indenter: str | None = None
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shear_mm: tuple[float, float] = (0.0, 0.0)
 
     @property
     def label(self) -> str:
@@ -88,7 +87,7 @@ class ListedPress(Settings):
     def as_picture(self, picture: np.ndarray, name: str) -> PressPicture:
         """Return the press with its picture."""
         return PressPicture(
-            picture, name=name, **self.model_dump(exclude={"picture", "indenter", "turn_deg"})
+            picture, name=name, **self.model_dump(exclude={"picture", "indenter", "turn_deg", "shear_mm"})
         )
 
 
@@ -108,10 +107,10 @@ class PressList(Settings):
     def pictures(self, folder: Path) -> tuple[PressPicture, ...]:
         """Read the presses' pictures; raises ValueError for a press of another body than a ball, or without one."""
         for number, press in enumerate(self.presses, start=1):
-            if press.picture is None or press.indenter is not None or any(press.turn_deg):
+            if press.picture is None or press.indenter is not None or any(press.turn_deg + press.shear_mm):
                 raise ValueError(
-                    f"press {number} ({press.label}): a calibration needs its picture, and balls alone; indenter and "
-                    "turn_deg are for --predict"
+                    f"press {number} ({press.label}): a calibration needs its picture, and balls alone; indenter, "
+                    "turn_deg and shear_mm are for --predict"
                 )
         return tuple(
             press.as_picture(read_image(folder / press.picture), f"press {number} ({press.picture})")
@@ -260,6 +259,37 @@ class FarField:
         return self.reference[rows, columns], np.broadcast_to(factor, (len(rows), 3))
 
 
+def cubic_of_normal(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (…, 9): the monomials, from degree 1 to 3, of a normal's x and y."""
+    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=-1)
+
+
+@dataclass(frozen=True)
+class NormalTable:
+    """Change in code values by the membrane's normal, a cubic that is linear in the place, as GelSights are calibrated.
+
+    It holds for any body, and knows of no LEDs and shadows: what a fit has to be better than.
+    """
+
+    coefficients: np.ndarray  # (27, 3)
+    half_view_mm: float
+
+    @staticmethod
+    def columns(normals: np.ndarray, plane_mm: np.ndarray, half_view_mm: float) -> np.ndarray:
+        """Return (n, 27) of normals (n, 3) at places of the flat membrane (n, 2)."""
+        x, y = (plane_mm / half_view_mm).T
+        place = monomials(x, y, 1)
+        by_normal = cubic_of_normal(*normals[:, :2].T)
+        return (by_normal[:, :, None] * place[:, None]).reshape(len(normals), -1)
+
+    def picture(self, reference: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+        """Return the uint8 picture (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
+        rows, columns = (values.ravel() for values in np.indices(reference.shape[:2]))
+        plane_mm = camera.plane_points_mm(columns, rows, reference.shape[1::-1])
+        change = self.columns(normals.reshape(-1, 3), plane_mm, self.half_view_mm) @ self.coefficients
+        return np.clip(np.round(reference + change.reshape(reference.shape)), 0, 255).astype(np.uint8)
+
+
 def median_of_presses(stack: np.ndarray) -> np.ndarray:
     """Return the median over presses, 1 where none is far enough."""
     stack.sort(axis=0)  # NaN last
@@ -280,58 +310,3 @@ def fit_gain(levels: np.ndarray, places: np.ndarray) -> np.ndarray:
             weighted = (terms * weights[:, channel, None]).T
             gain[:, channel] = np.linalg.solve(weighted @ terms + penalty, weighted @ levels[:, channel])
     return gain
-
-
-@dataclass(frozen=True)
-class PlainTable:
-    """Change in code values by place around a press, each entry a polynomial of the press's place in the view.
-
-    Inside the contact this place is the ball's normal, so it is the table of gradients that GelSights are calibrated
-    with; outside it holds what this ball's dent looks like. It has no answer for another ball, depth or shape.
-    """
-
-    reference: np.ndarray  # (h, w, 3)
-    degree: int
-    reach_px: float
-    coefficients: np.ndarray  # (terms, RADII × DIRECTIONS, 3)
-
-    @classmethod
-    def of(
-        cls,
-        reference: np.ndarray,
-        pictures: Sequence[np.ndarray],
-        centers_px: np.ndarray,
-        radii_px: np.ndarray,
-        degree: int,
-    ) -> "PlainTable":
-        """Fit the table to pictures (h, w, 3) of presses at `centers_px` (n, 2)."""
-        own = cls(reference.astype(float), degree, REACH * float(np.median(radii_px)), np.empty(0))
-        normal, right = np.zeros(1), np.zeros(1)
-        for picture, center in zip(pictures, centers_px, strict=True):
-            bins, terms = own._entries(center).ravel(), own._terms(center)
-            change = (picture - own.reference).reshape(-1, 3).T
-            count, *sums = (np.bincount(bins, w, RADII * DIRECTIONS + 1)[:-1] for w in (None, *change))
-            mean = np.column_stack(sums) / np.maximum(count, 1)[:, None]
-            normal = normal + (count > 0)[:, None, None] * np.outer(terms, terms)
-            right = right + terms[:, None] * mean[:, None]
-        penalty = len(pictures) * np.diag([1e-6] + [RIDGE] * (len(terms) - 1))
-        return cls(own.reference, degree, own.reach_px, np.linalg.solve(normal + penalty, right))
-
-    def _entries(self, center_px: np.ndarray) -> np.ndarray:
-        """Return (h, w): each pixel's entry; the last one is beyond reach."""
-        rows, columns = np.indices(self.reference.shape[:2])
-        x, y = columns - center_px[0], rows - center_px[1]
-        ring = (np.hypot(x, y) / self.reach_px * RADII).astype(int)
-        turn = ((np.arctan2(y, x) / (2 * np.pi) % 1) * DIRECTIONS).astype(int) % DIRECTIONS
-        return np.where(ring < RADII, ring * DIRECTIONS + turn, RADII * DIRECTIONS)
-
-    def _terms(self, center_px: np.ndarray) -> np.ndarray:
-        height, width, _ = self.reference.shape
-        x, y = 2 * center_px[0] / width - 1, 2 * center_px[1] / height - 1
-        return np.array(monomials(x, y, self.degree))
-
-    def picture(self, center_px: np.ndarray) -> np.ndarray:
-        """Return the uint8 picture of a press."""
-        change = np.vstack([np.einsum("t,btc->bc", self._terms(center_px), self.coefficients), np.zeros(3)])
-        predicted = np.round(self.reference + change[self._entries(center_px)])
-        return np.clip(predicted, 0, 255).astype(np.uint8)

@@ -12,7 +12,6 @@ from gelgap.render.calibration.pictures import (
     LEAST_USABLE,
     SATURATED,
     FarField,
-    PlainTable,
     PressPicture,
     find_contact_mm,
     fit_gain,
@@ -113,7 +112,7 @@ class PlacedPresses:
         untouched = srgb_decode(code / 255)
         levels = np.ones((len(self.presses), 3))
         for k, press in enumerate(self.presses):
-            away = _radii_away(self.reference, self.centers_px[k], self.radii_px[k])[coarse]
+            away = radii_away(self.reference, self.centers_px[k], self.radii_px[k])[coarse]
             far = good & (away > _FAR)
             if far.any():
                 levels[k] = np.median(srgb_decode(press.picture[coarse][far] / 255) / untouched[far], axis=0)
@@ -128,12 +127,6 @@ class PlacedPresses:
         linear = srgb_decode(code / 255) * self.levels[press] * (1 if self.dots is None else self.dots)
         return np.round(255 * srgb_encode(linear)).astype(np.uint8)
 
-    def table(self, which: np.ndarray, degree: int) -> PlainTable:
-        """Return the plain table of some presses, from levelled pictures."""
-        pictures = (255 * srgb_encode(self.levelled(k)) for k in which)
-        marks = self.centers_px[which], self.radii_px[which]
-        return PlainTable.of(self.clean_reference, list(pictures), *marks, degree)
-
     def far_field(self, which: np.ndarray) -> FarField:
         """Return what some of the presses change where none reaches, from those parts of their pictures."""
         import cv2
@@ -145,7 +138,7 @@ class PlacedPresses:
         stack = np.empty((len(which), *self.reference.shape), np.float32)
         for layer, k in zip(stack, which, strict=True):
             layer[:] = self.levelled(k) / np.maximum(untouched, 1e-4)
-            layer[_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) < _LOADED_BEYOND] = np.nan
+            layer[radii_away(self.reference, self.centers_px[k], self.radii_px[k]) < _LOADED_BEYOND] = np.nan
         if self.has_dots:  # which move with the gel even where no light changes
             return FarField(untouched, None, gain)
         # Light is smooth. So is this then where presses drop out of the median, the fewer of which the less they count.
@@ -196,6 +189,14 @@ class PlacedPresses:
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
         return self.camera.plane_points_mm(columns, rows, self.size_px)
 
+    def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
+        """Return (h, w, 3): the normal that each pixel sees of a press."""
+        index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
+        seen = SeenPoints.pressed(
+            self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm)
+        )
+        return seen.normals.reshape(self.reference.shape)
+
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
@@ -219,7 +220,7 @@ class PlacedPresses:
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
         """Return PSNR in dB inside the contact, and from one to two radii, of pixels without dots."""
-        share = _radii_away(predicted, self.centers_px[press], self.radii_px[press])
+        share = radii_away(predicted, self.centers_px[press], self.radii_px[press])
         real = self.presses[press].picture
         clear = self.clear_of_dots(press)
         inside, ring = clear & (share < 1), clear & (share >= 1) & (share < SCORED_RADII)
@@ -231,7 +232,7 @@ def found_dots(picture: np.ndarray) -> np.ndarray:
     return detect_markers(picture, least_contrast=0.1)
 
 
-def _radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
+def radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
     """Return (h, w): each pixel's distance from a contact's centre, in its radii."""
     rows, columns = np.indices(picture.shape[:2])
     return np.hypot(columns - center_px[0], rows - center_px[1]) / radius_px
@@ -343,7 +344,7 @@ def _check_contacts(placed: PlacedPresses) -> None:
     for name, press, *mark in zip(
         placed.names, placed.presses, placed.centers_px, placed.radii_px, strict=True
     ):
-        picture, inside = press.picture, _radii_away(press.picture, *mark) < 1
+        picture, inside = press.picture, radii_away(press.picture, *mark) < 1
         if not inside.any():
             raise ValueError(f"{name}: its centre lies outside of the picture; no contact was found in it")
         readable = (picture[inside] > DARK) & (picture[inside] < SATURATED)

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gelgap.cli.calibrate import doubt_of_scale
 from gelgap.cli.main import main
-from gelgap.render import LightCalibration, Sensor
+from gelgap.render import Camera, LightCalibration, PressPicture, Sensor
 from gelgap.render.calibration.calibrator import HeldOut
 from gelgap.render.calibration.pictures import read_presses
 from gelgap.render.flat_field import FlatFieldMaps
@@ -48,7 +49,6 @@ def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFix
 def fitted_light() -> LightCalibration:
     sensor = Sensor.preset("digit-like")
     maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
-    angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
     picture = np.zeros((24, 32, 3), np.uint8)
     held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (30, 31), (33, 34), lambda: picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
@@ -62,9 +62,6 @@ def fitted_light() -> LightCalibration:
         rms_code_values=3.21,
         names=(held_out.name,),
         held_out=(held_out,),
-        led_azimuths_deg=angles,
-        led_elevations_deg=angles,
-        nearness_error_per_mm=1e-4,
     )
 
 
@@ -78,8 +75,8 @@ def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     printed, known = capsys.readouterr().out, Sensor.load(tmp_path / "own.toml").known
     for said in (printed, known):
         assert "30.0 (30.0)" in said
-        assert re.search(r"light from about [^°]* 10°", said)
-        assert re.search(r"camera \d+ ± \d+ mm from the gel", said)
+        assert re.search(r"light from about [^°]* \d+°", said)
+        assert re.search(r"camera about \d+ mm from the gel", said)
     row = cv2.imread(str(tmp_path / "own-held-out" / "held-out-01.png"))
     assert row.shape == (24, 96, 3)
     assert (row[:, :64] == 0).all()
@@ -114,6 +111,17 @@ def test_what_makes_a_fit_doubtful_is_said(
         assert (
             "at an end of the range that is searched, so that it may lie beyond: height of" in out
         ) == bool(limits)
+
+
+def test_contacts_that_are_small_for_their_ball_are_doubted() -> None:
+    picture, camera = np.zeros((60, 80, 3), np.uint8), Camera.showing(8.0)
+    said = doubt_of_scale(camera, [PressPicture(picture, 4.0, radius_px=8.0)])
+    assert said is not None
+    assert said.startswith(
+        "the ball touches in circles 0.40 times as wide as itself, and a picture shows 8.0 × 6.0 mm"
+    )
+    for fine in (PressPicture(picture, 4.0, radius_px=14.0), PressPicture(picture, 4.0, depth_mm=0.1)):
+        assert doubt_of_scale(camera, [fine]) is None
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A folder of pictures of a pressed ball becomes a list of presses, or is refused in one sentence."""
 
+import re
 from pathlib import Path
 
 import cv2
@@ -110,9 +111,18 @@ def test_a_moved_camera_and_a_press_of_another_body_are_named(folder: Path) -> N
     found = mark_presses(folder, BALL_MM, mm_per_px(), folder / "g.png")
     assert found.without_contact == ("rest2.png",)
     said = "; ".join(found.doubts)
-    assert "not like a ball's dent, so look at their marks or leave them out:" in said
+    assert "not like the other dents of a ball, so look at mark and picture:" in said
     assert "c.png" in said
     assert "shifted against the reference, by up to 6 px, as if the camera had moved: b.png" in said
+
+
+def test_a_second_imprint_and_a_press_unlike_the_others_are_named(folder: Path) -> None:
+    rest, first, second = (cv2.imread(str(folder / f"{name}.png")).astype(int) for name in "gac")
+    cv2.imwrite(str(folder / "a.png"), (first + second - rest).clip(0, 255).astype(np.uint8))
+    cv2.imwrite(str(folder / "d.png"), cv2.imread(str(folder / "d.png"))[..., ::-1])
+    said = "; ".join(mark_presses(folder, BALL_MM, mm_per_px(), folder / "g.png").doubts)
+    assert re.search(r"not like the other dents of a ball[^;]*: [^;]*\bd\.png", said)
+    assert re.search(r"a second imprint: [^;]*\ba\.png", said)
 
 
 def test_of_a_video_rest_and_the_stillest_picture_of_each_press_are_taken(

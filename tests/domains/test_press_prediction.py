@@ -58,6 +58,9 @@ def test_balls_are_drawn_off_their_marks_by_the_habit_of_the_fit(
     habit = ((0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     moved = predict_presses(sensor.model_copy(update={"marks_off": habit}), listed(tmp_path, text))
     unmoved = predict_presses(sensor, listed(tmp_path, text))
+    tabled = sensor.model_copy(update={"normal_table": ((0.0, 0.0, 0.0),) * 27})
+    flat = predict_presses(tabled, listed(tmp_path, text))
+    assert [press.table for press in flat] == [press.unchanged for press in flat]
     for right, off in zip(moved, unmoved, strict=True):
         assert min(np.subtract(right.predicted, off.predicted)) > 5
         assert min(np.subtract(right.predicted, right.unchanged)) > 10
@@ -88,6 +91,7 @@ def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
         (BOX.replace("box", "bax") + "depth_mm = 0.3\n", "'bax'"),
         (BOX.replace("box", "none.toml") + "depth_mm = 0.3\n", "none.toml does not exist"),
         (BOX, "press 1 (box) must have depth_mm"),
+        (BALL + "depth_mm = 0.3\npoint_mm = [0, 0]\nshear_mm = [0.1, 0]\n", "are for an indenter"),
         (BOX + BALL.partition("\n")[2], "must have either sphere_diameter_mm or indenter"),
         (BALL + "depth_mm = 0.3\n", "press 1 (ball) must have point_mm"),
         (BALL + "depth_mm = 1.8\npoint_mm = [0.0, 0.0]\n", "between 0 and the sphere's radius"),

@@ -1,0 +1,146 @@
+"""The page of a folder's marks: each press with its circle, which is dragged or typed until it is right, and saved."""
+
+import contextlib
+import io
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.assets.image_file import read_image
+from gelgap.domains.press_folder import LIST, save_press_list
+from gelgap.render import difference_picture
+from gelgap.render.calibration.pictures import ListedPress, read_press_list
+from gelgap.view.page import start_server
+from gelgap.view.panels import sentence_html
+
+# The picture lies in the plane z = 0 of the scene, this wide, its difference to the reference to the right of it.
+_WIDTH, _GAP, _HANDLE = 10.0, 0.3, 1.2
+_CIRCLE, _GAIN, _SIXTEENTHS = (255, 255, 0), 2.0, 16
+_HELP = (
+    "Drag the handle to where the ball touches; the circle lies **inside** the dent. Right: 128 + 2 × the difference "
+    "to the picture without contact."
+)
+
+
+class MarksPage:
+    """A page that is open until `close`; `address` is where a browser finds it.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder has no list of presses.
+    ValueError
+        If its list is not one of balls marked by centre and radius, or the port is taken.
+    """
+
+    def __init__(self, folder: Path, host: str, port: int) -> None:
+        if not (path := folder / LIST).is_file():
+            raise FileNotFoundError(f"{path} does not exist; first: gelgap calibrate {folder} …")
+        self._path, self._listed = path, read_press_list(path)
+        if not self._listed.presses or self._listed.reference is None:
+            raise ValueError(f"{path} must have reference and presses")
+        for number, press in enumerate(self._listed.presses, start=1):
+            if press.picture is None or press.center_px is None or press.radius_px is None:
+                raise ValueError(
+                    f"{path}: press {number} ({press.label}) must have picture, center_px and radius_px"
+                )
+        self._reference = read_image(folder / self._listed.reference)
+        self._pictures = {press.picture: read_image(folder / press.picture) for press in self._listed.presses}
+        self.presses: dict[str, ListedPress] = {press.picture: press for press in self._listed.presses}
+        self._left_out: set[str] = set()
+        self._lock, self._closed, self._filling = threading.RLock(), threading.Event(), False
+        self._server = start_server(host, port)
+        self.address = f"http://{host}:{self._server.get_port()}"
+        self._build()
+        self._show()
+
+    def _build(self) -> None:
+        gui, scene, (height, width, _) = self._server.gui, self._server.scene, self._reference.shape
+        self._unit = _WIDTH / width
+        self._corner_px = np.array([width, height]) / 2 - 0.5
+        gui.add_markdown(_HELP)
+        self.press = gui.add_dropdown("press", tuple(self.presses))
+        self.x = gui.add_slider("centre x, px", -0.5 * width, 1.5 * width, 0.1, 0.0)
+        self.y = gui.add_slider("centre y, px", -0.5 * height, 1.5 * height, 0.1, 0.0)
+        self.radius = gui.add_slider("radius, px", 2.0, float(max(width, height)), 0.1, 2.0)
+        self.used = gui.add_checkbox("use this press", True)
+        self.save = gui.add_button(f"Save {LIST}")
+        self._message = gui.add_html("")
+        scene.set_up_direction("-y")
+        middle = (_WIDTH + _GAP) / 2
+        self._server.initial_camera.position = (middle, 0.0, -2.2 * _WIDTH)
+        self._server.initial_camera.look_at = (middle, 0.0, 0.0)
+        size = {"render_width": _WIDTH, "render_height": height * self._unit, "cast_shadow": False}
+        self._images = [
+            scene.add_image(name, self._reference, format="png", position=(at, 0.0, 0.0), **size)
+            for name, at in (("/picture", 0.0), ("/difference", _WIDTH + _GAP))
+        ]
+        self.handle = scene.add_transform_controls(
+            "/mark", _HANDLE, active_axes=(True, True, False), disable_rotations=True, depth_test=False
+        )
+        self.press.on_update(lambda _: self._show())
+        for knob in (self.x, self.y, self.radius, self.used):
+            knob.on_update(lambda _: self._take())
+        self.handle.on_update(lambda _: self.drag())
+        self.save.on_click(lambda _: self.save_list())
+
+    def _show(self) -> None:
+        """Turn all knobs to the chosen press."""
+        with self._lock:
+            chosen, self._filling = self.presses[self.press.value], True
+            (self.x.value, self.y.value), self.radius.value = chosen.center_px, chosen.radius_px
+            self.used.value = chosen.picture not in self._left_out
+            self._filling = False
+            self._draw()
+
+    def drag(self) -> None:
+        """Move the mark to where the handle is."""
+        with self._lock:
+            self._filling = True
+            self.x.value, self.y.value = (
+                (self.handle.position[:2] / self._unit + self._corner_px).round(1).tolist()
+            )
+            self._filling = False
+            self._take()
+
+    def _take(self) -> None:
+        """Take over what the knobs say."""
+        with self._lock:
+            if self._filling:
+                return
+            name = self.press.value
+            moved = {"center_px": (self.x.value, self.y.value), "radius_px": self.radius.value}
+            self.presses[name] = self.presses[name].model_copy(update=moved)
+            (self._left_out.discard if self.used.value else self._left_out.add)(name)
+            self._draw()
+
+    def _draw(self) -> None:
+        import cv2
+
+        press, picture = self.presses[self.press.value], self._pictures[self.press.value]
+        x, y, radius = (round(_SIXTEENTHS * value) for value in (*press.center_px, press.radius_px))
+        shown = picture, difference_picture(picture, self._reference, _GAIN)
+        for image, own in zip(self._images, shown, strict=True):
+            image.image = cv2.circle(own.copy(), (x, y), radius, _CIRCLE, 1, cv2.LINE_AA, 4)
+        place = np.append(self._unit * (np.array(press.center_px) - self._corner_px), 0.0)
+        if not np.allclose(self.handle.position, place, atol=0.2 * self._unit):  # else it is being dragged
+            self.handle.position = place
+
+    def save_list(self) -> None:
+        """Write the list anew, without the presses that are not used."""
+        with self._lock:
+            used = tuple(press for name, press in self.presses.items() if name not in self._left_out)
+            save_press_list(self._listed.model_copy(update={"presses": used}), self._path)
+            said = f"saved {len(used)} presses; fit them: gelgap calibrate {self._path}"
+            self._message.content = sentence_html(said, bad=False)
+
+    def wait(self) -> None:
+        """Wait until the page is closed."""
+        self._closed.wait()
+
+    def close(self) -> None:
+        """End the page."""
+        self._closed.set()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
