@@ -5,9 +5,8 @@ and no picture shows it. So a ratio of moduli corrects a network for all contact
 from a few known loads along one axis. What it leaves wrong where the rest of the gel differs is in docs/results.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gelgap.adapt.model import AffineCorrection, ForceModel
 
@@ -16,7 +15,7 @@ _UNITS = ("N", "N·mm")
 _OUT_OF_ORDER = 0.1
 
 
-def fit_modulus_ratio(measured_n: Sequence[float], expected_n: Sequence[float]) -> tuple[float, float]:
+def fit_modulus_ratio(measured_n: ArrayLike, expected_n: ArrayLike) -> tuple[float, float]:
     """Return the modulus of a gel over that of the source's gel, and its standard error, from a few loads (n,), N.
 
     A line through 0 by least squares: large loads count most.

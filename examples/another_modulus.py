@@ -45,4 +45,4 @@ def main(source: Path, target: Path, profile: str | Profile = "smoke", loads: in
 
 if __name__ == "__main__":
     folders = sys.argv[1:3] if len(sys.argv) > 2 else ("data/wmb0i0", "data/hard")
-    main(Path(folders[0]), Path(folders[1]), *sys.argv[3:])
+    main(Path(folders[0]), Path(folders[1]), sys.argv[3] if len(sys.argv) > 3 else "smoke")
