@@ -11,7 +11,8 @@ from gelgap.domains import Labels
 from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
 
-def test_a_curve_of_five_loads_gives_the_modulus_whatever_the_rig_gives_way():
+@pytest.mark.usefixtures("coarse")
+def test_a_curve_of_loads_gives_the_modulus_whatever_the_rig_gives_way():
     """Two gels on rigs of their own: at equal depths of the rig, forces are not as the moduli."""
     curves = []
     for modulus_mpa, stiffness in ((0.7, 20.0), (1.4, 60.0)):
@@ -21,7 +22,7 @@ def test_a_curve_of_five_loads_gives_the_modulus_whatever_the_rig_gives_way():
             friction=0.24,
             mount_stiffness_n_per_mm=stiffness,
         )
-        poses = [Pose(depth_mm=depth_mm) for depth_mm in (0.2, 0.35, 0.5, 0.65, 0.8)]
+        poses = [Pose(depth_mm=depth_mm) for depth_mm in (0.2, 0.4, 0.6)]
         states = solve_poses(gel, Sphere(diameter_mm=4.0), poses, "draft")
         fz_n = np.array([state.force_n[2] for state in states])
         depth_mm = np.array([pose.depth_mm for pose in poses])
