@@ -28,8 +28,9 @@ def main(source: Path, target: Path, profile: str | Profile = "smoke", loads: in
     profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
     frames = split_for_training(open_domain(source), open_domain(target), profile, seed)
     model = train_source(frames.source_train, profile, seed)
-    in_contact = frames.target_train.take(np.flatnonzero(frames.target_train.force_n[:, 2] < 0))
-    few = draw_labelled(in_contact, loads, seed)
+    forces_n, (low_n, high_n) = frames.target_train.force_n, model.force_range_n.T
+    learnable = ((low_n <= forces_n) & (forces_n <= high_n)).all(axis=1) & (forces_n[:, 2] < 0)
+    few = draw_labelled(frames.target_train.take(np.flatnonzero(learnable)), loads, seed)
     ratio, error = fit_modulus_ratio(few.force_n[:, 2], model.predict_n(few)[:, 2])
     print(f"the gel is {ratio:.3f} ± {error:.3f} times as stiff")
     models = {
