@@ -11,6 +11,8 @@ from .few_labels import fine_tune as fine_tune
 from .few_labels import finetune as finetune
 from .few_labels import pretrain as pretrain
 from .inputs import INPUTS as INPUTS
+from .material import fit_modulus_ratio as fit_modulus_ratio
+from .material import with_modulus_ratio as with_modulus_ratio
 from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method

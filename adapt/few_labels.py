@@ -161,10 +161,8 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
         change = np.stack([np.zeros(len(scale)), error[0] / 2], axis=1)
     else:
         change = _ridge_of_one_penalty(columns, error)
-    correction = AffineCorrection(tuple((1 + change[:, 0]).tolist()), tuple((change[:, 1] * scale).tolist()))
-    return replace(
-        model, correction=correction if model.correction is None else correction.after(model.correction)
-    )
+    gain, offset = 1 + change[:, 0], change[:, 1] * scale
+    return model.corrected(AffineCorrection(tuple(gain.tolist()), tuple(offset.tolist())))
 
 
 def _ridge_of_one_penalty(columns: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -76,6 +76,12 @@ class ForceModel:
         """The ranges of the labels (k, 2): of forces in N, (3, 2)."""
         return np.array(self.labels.ranges)
 
+    def corrected(self, correction: AffineCorrection) -> "ForceModel":
+        """Return the model whose predictions are corrected so, after what corrects them now."""
+        return replace(
+            self, correction=correction if self.correction is None else correction.after(self.correction)
+        )
+
     def features(self, frames: LabelledFrames) -> np.ndarray:
         """Return the transfer features (n, feature_dim) float32."""
         return self._infer(frames)[0]

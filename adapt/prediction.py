@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.adapt.model import ForceModel
+from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, read_image
 from gelgap.domains import Labels
 
@@ -46,22 +46,28 @@ def predict_each(
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
-        yield {"picture": name, **labels, "note": range_note(model.labels, predicted)}
+        yield {"picture": name, **labels, "note": range_note(model.labels, predicted, model.correction)}
 
 
-def range_note(labels: Labels, predicted: np.ndarray) -> str:
+def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrection | None = None) -> str:
     """Return what is wrong with predicted labels (k,): no number, or at the end of a label's range, or beyond it.
 
-    A bound of 0, the force without contact, is reached by right predictions.
+    Ranges are the network's, whose output the correction has changed. A bound of 0, the force without contact, is
+    reached by right predictions.
     """
+    gain, offset = correction or (np.ones(len(labels)), np.zeros(len(labels)))
+    read = (predicted - np.asarray(offset)) / gain
     notes = []
-    for (symbol, unit), (low, high), value in zip(labels.quantities, labels.ranges, predicted, strict=True):
+    for k, ((symbol, unit), (low, high), value) in enumerate(
+        zip(labels.quantities, labels.ranges, read, strict=True)
+    ):
         margin = _AT_THE_END * (high - low)
         if not np.isfinite(value):
             notes.append(f"{symbol} is not a number")
         elif value < low + margin * (low != 0) or value > high - margin * (high != 0):
+            first, last = (bound * gain[k] + offset[k] for bound in (low, high))
             notes.append(
-                f"{symbol} is at the end of the trained range, {low:g} to {high:g} {unit}, or beyond"
+                f"{symbol} is at the end of the trained range, {first:g} to {last:g} {unit}, or beyond"
             )
     return "; ".join(notes)
 

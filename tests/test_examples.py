@@ -54,6 +54,11 @@ def test_own_backbone_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out.startswith("make_backbone source-only  mean error on the target")
 
 
+def test_another_modulus_is_found_by_loads(own_gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    load("another_modulus").main(own_gap / "wmb0i0", own_gap / "harder-slippery-redder", loads=2)
+    assert capsys.readouterr().out.startswith("the gel is ")
+
+
 def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pixels = load("own_sensor").main(picture=tmp_path / "own.png", quality="draft")
