@@ -372,15 +372,18 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     # Vertices in the plane of symmetry carry the force of one half, so that areas are those of this half as well.
     rest = solution.rest_of(record)
     triangulation = Delaunay(rest)
-    corners = triangulation.simplices
     position = np.concatenate([rest, np.zeros((len(rest), 1))], axis=1) + record.displacement_mm
-    first, second, third = (position[corners[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
-    share = np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
-    per_area = force_n / np.maximum(share, 1e-9)[:, None]
+    per_area = force_n / np.maximum(shares_mm2(position, triangulation.simplices), 1e-9)[:, None]
     points = MembraneCubic(rest, per_area).within(_polar_points(solution, rest))
     values = LinearNDInterpolator(triangulation, per_area)(points)
     return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
+
+
+def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
+    """Return the share (n,) of the area of triangles (m, 3) that belongs to each of their corners (n, 3)."""
+    first, second, third = (places_mm[triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
+    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(places_mm))
 
 
 def _polar_points(solution: Solution, rest_mm: Floats) -> Floats:

@@ -148,7 +148,8 @@ class ContactProblem:
     commanded displacements (x, y, z) of the indenter from touching the gel; a state is recorded at each. `parents` says
     for each from which waypoint it is reached, by its index, −1 for the undeformed gel: several drags can branch off
     one press. `turns_deg` are rotation vectors by which the indenter is turned about its origin at each waypoint; none
-    if it never is. `static_friction` is larger than `friction`, None if they are equal.
+    if it never is. `static_friction` is larger than `friction`, None if they are equal. `relief` is the body whose
+    recesses the indenter bridges, None if there are none.
     """
 
     moduli: Moduli
@@ -162,6 +163,7 @@ class ContactProblem:
     quality: Quality
     turns_deg: tuple[Waypoint, ...] = ()
     static_friction: float | None = None
+    relief: AnyIndenter | None = None
 
     @classmethod
     def of(
@@ -366,7 +368,8 @@ class ContactProblem:
         values = {"method": _METHOD_VERSION, "shape": shape, **asdict(self)}
         if not self.turns_deg:
             del values["turns_deg"]
-        if self.static_friction is None:
-            del values["static_friction"]
+        for name in ("static_friction", "relief"):
+            if values[name] is None:
+                del values[name]
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()

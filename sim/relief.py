@@ -13,13 +13,15 @@ import numpy as np
 
 from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.grading import is_served
-from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.scene import Elastomer
 from gelgap.sim.surface import Surface
 
 # What is narrower than this many cells, vertices do not show.
 _BRIDGED_CELLS = 2.0
+# Shares of p* between which the law is a straight line; below the second, where a line that touches sinks in endlessly
+# fast, as well.
+_LOADS = np.append(0.0, np.geomspace(0.01, 1.0, 60))
 
 
 def bridged(problem: ContactProblem) -> ContactProblem:
@@ -27,7 +29,7 @@ def bridged(problem: ContactProblem) -> ContactProblem:
     body = problem.indenter
     if not isinstance(body, Surface) or is_served(problem):
         return problem
-    without = replace(problem, indenter=_opened(body, _BRIDGED_CELLS * problem.cell_mm))
+    without = replace(problem, indenter=_opened(body, _BRIDGED_CELLS * problem.cell_mm), relief=body)
     return without if is_served(without) else problem
 
 
@@ -42,28 +44,72 @@ def _opened(body: Surface, width_mm: float) -> Surface:
     return body.with_heights(opened[side:-side, side:-side])
 
 
-@dataclass(frozen=True)
-class _Recesses:
-    """Depth (rows, columns) of a body's recesses, and the largest depth and mean square slope around."""
+@dataclass(frozen=True, eq=False)
+class Recesses:
+    """Depth (rows, columns) of a body's recesses; around each place the largest and the mean, and p* of the gel."""
 
     depth_mm: Floats
     deepest_mm: Floats
-    square_slope: Floats
+    mean_mm: Floats
+    flattening_mpa: Floats
     spacing_mm: float
+
+    def _at(self, from_origin_mm: Floats, bridging: Surface, *values: Floats) -> tuple[Floats, ...]:
+        from scipy.ndimage import map_coordinates
+
+        own = from_origin_mm @ bridging.axes
+        middle = (np.array(self.depth_mm.shape)[:, None] - 1) / 2
+        places = own[:, [1, 0]].T / self.spacing_mm + middle
+        return tuple(map_coordinates(some, places, order=1, mode="nearest") for some in values)
+
+    def resistance(
+        self, from_origin_mm: Floats, bridging: Surface, beyond_mm: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return how a gel whose mean surface is `beyond_mm` (n,) what bridges recesses is pushed back at points (n, 3).
+
+        That is how much of it (n,), mm, the recesses give room for, at which pressure (n,), MPa, and how much more per
+        further MPa (n,). Points are mm from the origin of `bridging`, turned as it is.
+        """
+        mean_mm, flattening_mpa = self._at(from_origin_mm, bridging, self.mean_mm, self.flattening_mpa)
+        sunk_mm = np.clip(beyond_mm, 0.0, mean_mm)
+        load = np.interp(sunk_mm / np.maximum(mean_mm, 1e-12), _mean_fill(_LOADS), _LOADS)
+        slope = np.where(load > _LOADS[1], -np.log(np.maximum(load, _LOADS[1])), 1 - math.log(_LOADS[1]))
+        return sunk_mm, load * flattening_mpa, slope * mean_mm / np.maximum(flattening_mpa, 1e-12)
+
+    def fill(self, from_origin_mm: Floats, bridging: Surface, pressure_mpa: Floats) -> Floats:
+        """Return how far (n, 3) the gel is pressed in at points (n, 3) of what bridges recesses, by the pressure (n,).
+
+        Points are mm from the origin of `bridging`, turned as it is.
+        """
+        depth, deepest, flattening = self._at(
+            from_origin_mm, bridging, self.depth_mm, self.deepest_mm, self.flattening_mpa
+        )
+        share = filled_share(depth / np.maximum(deepest, 1e-12), pressure_mpa / np.maximum(flattening, 1e-12))
+        return np.where(depth > 0, deepest * share, 0.0)[:, None] * bridging.axes[:, 2]
 
 
 @lru_cache(maxsize=4)
-def _recesses(body: Surface, bridging: Surface) -> _Recesses:
+def recesses_of(problem: ContactProblem) -> Recesses | None:
+    """Return the recesses that a problem's indenter bridges, None if it is pressed as it is."""
     from scipy.ndimage import maximum_filter, uniform_filter
 
+    body, bridging = problem.relief, problem.indenter
+    if not (isinstance(body, Surface) and isinstance(bridging, Surface)):
+        return None
     over, under = body.heights_mm, bridging.heights_mm
     solid = np.isfinite(over) & np.isfinite(under)
     depth = np.where(solid, np.where(solid, over, 0.0) - np.where(solid, under, 0.0), 0.0)
     # Over a square as wide as the recesses that are bridged, which is at least twice as wide as any is from its middle.
     side = 2 * _widest_places(depth) + 1
+
+    def mean_around(values: Floats) -> Floats:
+        # Twice, since the mean over a square that is not quite a wave's length still has waves.
+        return uniform_filter(uniform_filter(values, side, mode="nearest"), side, mode="nearest")
+
     along_y, along_x = np.gradient(depth, body.spacing_mm)
-    slope = uniform_filter(along_x**2 + along_y**2, side, mode="nearest")
-    return _Recesses(depth, maximum_filter(depth, side), slope, body.spacing_mm)
+    stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
+    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(along_x**2 + along_y**2), 0.0) / 2)
+    return Recesses(depth, maximum_filter(depth, side), mean_around(depth), flattening_mpa, body.spacing_mm)
 
 
 def _widest_places(depth: Floats) -> int:
@@ -71,6 +117,11 @@ def _widest_places(depth: Floats) -> int:
     from scipy.ndimage import distance_transform_cdt
 
     return max(1, int(distance_transform_cdt(depth > 0.02 * depth.max()).max()))
+
+
+def _mean_fill(load: Floats) -> Floats:
+    """Return the mean of `filled_share` over a sinusoid, s (1 − ln s), at loads (n,), the first of which is 0."""
+    return np.append(0.0, load[1:] * (1 - np.log(load[1:])))
 
 
 def filled_share(height: Floats, load: Floats) -> Floats:
@@ -83,39 +134,6 @@ def filled_share(height: Floats, load: Floats) -> Floats:
     beyond = np.sqrt(np.maximum(height * (height - load), 0.0))
     gap = beyond - load * np.arccosh(np.sqrt(np.where(off, height / load, 1.0)))
     return height - np.where(off, gap, 0.0)
-
-
-def fill(
-    body: Surface,
-    bridging: Surface,
-    gel: Elastomer,
-    from_origin_mm: Floats,
-    pressure_mpa: Floats,
-) -> Floats:
-    """Return how far (n, 3) the gel is pressed into a body's recesses at points (n, 3) of what bridges them.
-
-    Points are mm from the origin of `bridging`, turned as it is, and pressures (n,) those on it.
-    """
-    from scipy.ndimage import map_coordinates
-
-    found = _recesses(body, bridging)
-    turn = bridging.axes
-    own = from_origin_mm @ turn
-    middle = (np.array(found.depth_mm.shape)[:, None] - 1) / 2
-    places = own[:, [1, 0]].T / found.spacing_mm + middle
-    depth, deepest, square = (
-        map_coordinates(values, places, order=1, mode="nearest")
-        for values in (found.depth_mm, found.deepest_mm, found.square_slope)
-    )
-    flattening_mpa = gel.young_modulus_mpa / (1 - gel.poisson_ratio**2) * np.sqrt(np.maximum(square, 0.0) / 2)
-    load = pressure_mpa / np.maximum(flattening_mpa, 1e-12)
-    filled = deepest * filled_share(depth / np.maximum(deepest, 1e-12), load)
-    return np.where(depth > 0, filled, 0.0)[:, None] * turn[:, 2]
-
-
-def is_bridged(body: Indenter, solved: Indenter) -> bool:
-    """Return whether a body was solved as one that bridges its recesses."""
-    return isinstance(body, Surface) and isinstance(solved, Surface) and body.heights != solved.heights
 
 
 def with_fill(
