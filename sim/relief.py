@@ -24,6 +24,10 @@ _BRIDGED_CELLS = 2.0
 _LOADS = np.append(0.0, np.geomspace(0.01, 1.0, 60))
 
 
+# What is less deep than this share of the deepest recess is none.
+_SMOOTH_SHARE = 0.02
+
+
 def bridged(problem: ContactProblem) -> ContactProblem:
     """Return a problem that the mesh serves, of the body without recesses narrower than two cells; else itself."""
     body = problem.indenter
@@ -91,7 +95,7 @@ class Recesses:
 @lru_cache(maxsize=4)
 def recesses_of(problem: ContactProblem) -> Recesses | None:
     """Return the recesses that a problem's indenter bridges, None if it is pressed as it is."""
-    from scipy.ndimage import maximum_filter, uniform_filter
+    from scipy.ndimage import binary_closing, maximum_filter, uniform_filter
 
     body, bridging = problem.relief, problem.indenter
     if not (isinstance(body, Surface) and isinstance(bridging, Surface)):
@@ -102,9 +106,18 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
     # Over a square as wide as the recesses that are bridged, which is at least twice as wide as any is from its middle.
     side = 2 * _widest_places(depth) + 1
 
-    def mean_around(values: Floats) -> Floats:
+    # Where recesses are, with the crests between them; beside them, as on a punch's rim, the gel meets what is smooth.
+    rough = np.pad(depth > _SMOOTH_SHARE * depth.max(), side)
+    rough = binary_closing(rough, np.ones((side, side)))[side:-side, side:-side].astype(float)
+
+    def around(values: Floats) -> Floats:
         # Twice, since the mean over a square that is not quite a wave's length still has waves.
-        return uniform_filter(uniform_filter(values, side, mode="nearest"), side, mode="nearest")
+        for _ in range(2):
+            values = uniform_filter(values, side)
+        return values
+
+    def mean_around(values: Floats) -> Floats:
+        return rough * around(rough * values) / np.maximum(around(rough), 1e-3)
 
     along_y, along_x = np.gradient(depth, body.spacing_mm)
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
@@ -116,7 +129,7 @@ def _widest_places(depth: Floats) -> int:
     """Return how many places the widest recess is from its rim to its middle."""
     from scipy.ndimage import distance_transform_cdt
 
-    return max(1, int(distance_transform_cdt(depth > 0.02 * depth.max()).max()))
+    return max(1, int(distance_transform_cdt(depth > _SMOOTH_SHARE * depth.max()).max()))
 
 
 def _mean_fill(load: Floats) -> Floats:
