@@ -10,8 +10,8 @@ from scipy.spatial import Delaunay
 
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 from gelgap.sim.membrane import shares_mm2
+from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 from gelgap.sim.relief import Recesses
 from gelgap.sim.solution import sticks
 
@@ -112,7 +112,9 @@ class FrictionalContacts:
         data.contact.frame[:] = np.concatenate([normal, first, np.cross(normal, first)], axis=1)
         data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
         if self._recesses is not None:
-            sunk_mm, pressure_mpa, compliance = self._recesses.resistance(places_mm, self._indenter, -nearest.distance_mm)
+            sunk_mm, pressure_mpa, compliance = self._recesses.resistance(
+                places_mm, self._indenter, -nearest.distance_mm
+            )
             data.contact.dist[:] += sunk_mm
             self._sunk_by_mm = compliance * pressure_mpa
             self._compliance = compliance / self._area_mm2[self._gel.vertex_of_geom[self.nodes]]

@@ -383,7 +383,7 @@ def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
     """Return the share (n,) of the area of triangles (m, 3) that belongs to each of their corners (n, 3)."""
     first, second, third = (places_mm[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
-    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(places_mm))
+    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(places_mm)).astype(float)
 
 
 def _polar_points(solution: Solution, rest_mm: Floats) -> Floats:
