@@ -26,6 +26,8 @@ _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 _METHOD_VERSION = 30
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
+# Its patch is narrower than this share of it where it is a ring.
+_RING_SHARE = 0.9
 # Cells in a contact that is longer than wide are up to this many times as long as wide.
 _LONGEST_CELL = 2.0
 # A quality's load steps are those on a gel of this thickness, and are as long on a thicker one if the contact's radius
@@ -230,6 +232,11 @@ class ContactProblem:
             and min(map(abs, body.cut_mm(depth_mm))) >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
             for body, depth_mm in self.stands
         )
+
+    @property
+    def is_ring(self) -> bool:
+        """Whether the contact is round, and hollow in the middle."""
+        return self.is_round and self.meshed_radius_mm < _RING_SHARE * min(self.half_cut_mm)
 
     @property
     def symmetric(self) -> bool:
