@@ -73,10 +73,8 @@ class FrictionalContacts:
         self._held = self._landed = np.zeros(0, dtype=bool)
         self._recesses = recesses
         if recesses is not None:
-            surface = gel.mesh.surface
-            rest_mm = gel.mesh.vertices_mm
-            triangles = surface[Delaunay(rest_mm[surface, :2]).simplices]
-            self._area_mm2 = shares_mm2(rest_mm, triangles)
+            surface, rest_mm = gel.mesh.surface, gel.mesh.vertices_mm
+            self._area_mm2 = shares_mm2(rest_mm, surface[Delaunay(rest_mm[surface, :2]).simplices])
 
     @property
     def nodes(self) -> Ints:
@@ -121,7 +119,7 @@ class FrictionalContacts:
 
     def soften(self) -> None:
         """Give the contacts that MuJoCo has just made the compliance of the gel that fills recesses."""
-        if self._recesses is None:
+        if self._recesses is None or not self._data.ncon:
             return
         data, normal = self._data, slice(0, 3 * self._data.ncon, 3)
         stiffer = data.efc_R[normal] / (data.efc_R[normal] + self._compliance)

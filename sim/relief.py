@@ -20,11 +20,11 @@ from gelgap.sim.surface import Surface
 
 # What is narrower than this many cells, vertices do not show.
 _BRIDGED_CELLS = 2.0
-# Shares of p* between which the law is a straight line; below the second, where a line that touches sinks in endlessly
-# fast, as well.
-_LOADS = np.append(0.0, np.geomspace(0.01, 1.0, 60))
-
-
+# Loads s, and by what share of the mean depth the gel sinks in there, s (1 − ln s): between them, and below the least,
+# where that would be endlessly steep, it is a straight line.
+_LEAST_LOAD = 0.01
+_LOADS = np.geomspace(_LEAST_LOAD, 1.0, 60)
+_SUNK = _LOADS * (1 - np.log(_LOADS))
 # Recesses of a body that the mesh serves are bridged if in the mean they are deeper than this share of the press.
 _LEAST_SHARE = 0.03
 # The theory makes this share of what recesses take off a force uncertain: a round punch with rings of waves (λ 0.4 mm,
@@ -100,8 +100,10 @@ class Recesses:
         """
         mean_mm, flattening_mpa = self._at(from_origin_mm, bridging, self.mean_mm, self.flattening_mpa)
         sunk_mm = np.clip(beyond_mm, 0.0, mean_mm)
-        load = np.interp(sunk_mm / np.maximum(mean_mm, 1e-12), _mean_fill(_LOADS), _LOADS)
-        slope = np.where(load > _LOADS[1], -np.log(np.maximum(load, _LOADS[1])), 1 - math.log(_LOADS[1]))
+        load = np.interp(sunk_mm / np.maximum(mean_mm, 1e-12), [0.0, *_SUNK], [0.0, *_LOADS])
+        slope = np.where(
+            load > _LEAST_LOAD, -np.log(np.maximum(load, _LEAST_LOAD)), 1 - math.log(_LEAST_LOAD)
+        )
         return sunk_mm, load * flattening_mpa, slope * mean_mm / np.maximum(flattening_mpa, 1e-12)
 
     def fill(self, from_origin_mm: Floats, bridging: Surface, pressure_mpa: Floats) -> Floats:
@@ -119,45 +121,28 @@ class Recesses:
 @lru_cache(maxsize=4)
 def recesses_of(problem: ContactProblem) -> Recesses | None:
     """Return the recesses that a problem's indenter bridges, None if it is pressed as it is."""
-    from scipy.ndimage import binary_closing, maximum_filter, uniform_filter
+    from scipy.ndimage import binary_closing, distance_transform_cdt, maximum_filter, uniform_filter
 
     body, bridging = problem.relief, problem.indenter
     if not (isinstance(body, Surface) and isinstance(bridging, Surface)):
         return None
     over, under = body.heights_mm, bridging.heights_mm
     depth = np.where(np.isfinite(over), over, 0.0) - np.where(np.isfinite(over), under, 0.0)
-    # Over a square as wide as the recesses that are bridged, which is at least twice as wide as any is from its middle.
-    side = 2 * _widest_places(depth) + 1
-
+    deep = depth > _SMOOTH_SHARE * depth.max()
+    # Over a square as wide as the widest recess.
+    side = 2 * max(1, int(distance_transform_cdt(deep).max())) + 1
     # Where recesses are, with the crests between them; beside them, as on a punch's rim, the gel meets what is smooth.
-    rough = np.pad(depth > _SMOOTH_SHARE * depth.max(), side)
-    rough = binary_closing(rough, np.ones((side, side)))[side:-side, side:-side].astype(float)
-
-    def around(values: Floats) -> Floats:
-        # Twice, since the mean over a square that is not quite a wave's length still has waves.
-        for _ in range(2):
-            values = uniform_filter(values, side)
-        return values
+    rough = binary_closing(np.pad(deep, side), np.ones((side, side)))[side:-side, side:-side].astype(float)
 
     def mean_around(values: Floats) -> Floats:
-        return rough * around(rough * values) / np.maximum(around(rough), 1e-3)
+        # Twice, since the mean over a square that is not quite a wave's length still has waves.
+        total, weight = (uniform_filter(uniform_filter(part, side), side) for part in (rough * values, rough))
+        return rough * total / np.maximum(weight, 1e-3)
 
     along_y, along_x = np.gradient(depth, body.spacing_mm)
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
     flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(along_x**2 + along_y**2), 0.0) / 2)
     return Recesses(depth, maximum_filter(depth, side), mean_around(depth), flattening_mpa, body.spacing_mm)
-
-
-def _widest_places(depth: Floats) -> int:
-    """Return how many places the widest recess is from its rim to its middle."""
-    from scipy.ndimage import distance_transform_cdt
-
-    return max(1, int(distance_transform_cdt(depth > _SMOOTH_SHARE * depth.max()).max()))
-
-
-def _mean_fill(load: Floats) -> Floats:
-    """Return the mean of `filled_share` over a sinusoid, s (1 − ln s), at loads (n,), the first of which is 0."""
-    return np.append(0.0, load[1:] * (1 - np.log(load[1:])))
 
 
 def filled_share(height: Floats, load: Floats) -> Floats:
