@@ -6,10 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
+from scipy.spatial import Delaunay
 
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.membrane import shares_mm2
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
+from gelgap.sim.relief import Recesses
 from gelgap.sim.solution import sticks
 
 Ints = NDArray[np.int64]
@@ -45,10 +48,17 @@ class FrictionalContacts:
     reached without friction. Other nodes slide freely.
 
     The coefficient falls, with the slip since a node touched, from `static_friction` (None: as low) to `friction`.
+    Where a body has `recesses` that its mesh bridges, nodes sink into it as the gel fills them.
     """
 
     def __init__(
-        self, gel: GelModel, data: Any, indenter: Indenter, friction: float, static_friction: float | None
+        self,
+        gel: GelModel,
+        data: Any,
+        indenter: Indenter,
+        friction: float,
+        static_friction: float | None = None,
+        recesses: Recesses | None = None,
     ) -> None:
         self._gel = gel
         self._data = data
@@ -61,6 +71,10 @@ class FrictionalContacts:
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
         self._held = self._landed = np.zeros(0, dtype=bool)
+        self._recesses = recesses
+        if recesses is not None:
+            surface, rest_mm = gel.mesh.surface, gel.mesh.vertices_mm
+            self._area_mm2 = shares_mm2(rest_mm, surface[Delaunay(rest_mm[surface, :2]).simplices])
 
     @property
     def nodes(self) -> Ints:
@@ -86,7 +100,8 @@ class FrictionalContacts:
     def place(self) -> None:
         """Give each contact that MuJoCo found the gap and normal of the indenter's own surface."""
         data, sign = self._data, self._sign()
-        nearest = self._indenter.project(self._places_mm()[self.nodes])
+        places_mm = self._places_mm()[self.nodes]
+        nearest = self._indenter.project(places_mm)
         normal = nearest.outward_normal * sign
         # The first tangent is as MuJoCo chooses it.
         other = np.where(np.abs(normal[:, 1:2]) < _NOT_ALONG_Y, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
@@ -94,6 +109,26 @@ class FrictionalContacts:
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         data.contact.frame[:] = np.concatenate([normal, first, np.cross(normal, first)], axis=1)
         data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
+        if self._recesses is not None:
+            sunk_mm, pressure_mpa, compliance = self._recesses.resistance(
+                places_mm, self._indenter, -nearest.distance_mm
+            )
+            data.contact.dist[:] += sunk_mm
+            self._sunk_by_mm = compliance * pressure_mpa
+            self._compliance = compliance / self._area_mm2[self._gel.vertex_of_geom[self.nodes]]
+
+    def soften(self) -> None:
+        """Give the contacts that MuJoCo has just made the compliance of the gel that fills recesses."""
+        if self._recesses is None or not self._data.ncon:
+            return
+        data, normal = self._data, slice(0, 3 * self._data.ncon, 3)
+        stiffer = data.efc_R[normal] / (data.efc_R[normal] + self._compliance)
+        data.efc_R[normal] /= stiffer
+        data.efc_D[normal] *= stiffer
+        # So that friction stays what it was.
+        data.contact.mu[:] *= np.sqrt(stiffer)
+        # MuJoCo's solver takes a copy of its own.
+        data.iefc_R[data.map_efc2iefc], data.iefc_D[data.map_efc2iefc] = data.efc_R, data.efc_D
 
     def begin_load_step(self, slid_mm: Floats) -> None:
         """Begin a new load step, at the next contacts, before which geoms have slid by `slid_mm` (n,)."""
@@ -142,6 +177,8 @@ class FrictionalContacts:
         # Most nodes that landed go back and stick; a widened gap would press them into the indenter.
         slides_mm = np.where(self._landed[nodes], 0.0, np.linalg.norm(slip_mm, axis=1))
         data.contact.dist[:] += self._friction_of[nodes] * slides_mm
+        if self._recesses is not None:
+            data.contact.dist[:] -= self._sunk_by_mm
         data.contact.friction[~held, :2] = _FRICTIONLESS
 
     def forget_landing(self) -> None:

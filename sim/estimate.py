@@ -49,8 +49,6 @@ _VARIANCE_PER_CAUSE = (
 # between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much beside
 # felupe. A share of the force, times a cell over the patch's radius.
 _BETWEEN_LINES = 0.05
-# A round contact whose patch is narrower than this share of it is a ring.
-_RING_SHARE = 0.9
 # Around an edge sharper than a cell there are few vertices, which lie anywhere: a share of the force, times the cells
 # that fit the edge's radius, less one. A cylinder's force (R 1.5 on 3 mm, 0.5 deep) is 2.8 % too large with an edge of
 # 0.1 mm at `draft`, 0.8 and 2.5 % with 0.1 and 0.05 mm at `standard`, beside axisymmetric finite elements.
@@ -153,8 +151,7 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, contact_radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    is_ring = problem.meshed_radius_mm < _RING_SHARE * min(problem.half_cut_mm)
-    if not (problem.indenter.convex or (problem.is_round and not is_ring)):
+    if not (problem.indenter.convex or problem.is_round) or problem.is_ring:
         variance[:2] += (_BETWEEN_LINES * problem.cell_mm / problem.meshed_radius_mm) ** 2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2

@@ -34,7 +34,7 @@ from gelgap.sim.membrane import (
 )
 from gelgap.sim.path import PosePath
 from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
-from gelgap.sim.relief import is_bridged
+from gelgap.sim.relief import unbridged
 from gelgap.sim.scene import Elastomer, Pose, is_interior
 from gelgap.sim.solution import Solution, has_solution
 
@@ -191,7 +191,10 @@ class LibraryPlan:
         poses = tuple(Pose(depth_mm=depth, shear_x_mm=round(float(t), 6)) for depth, t in contacts_mm)
         gel = self.elastomer.model_copy(update=_WITHOUT_EDGES)
         plan = plan_solves(gel, self.indenter, PosePath("library", poses), self.quality)
-        if any(is_bridged(self.indenter, solve.problem.indenter) for solve in plan.solves):
+        plan = replace(
+            plan, solves=tuple(replace(own, problem=unbridged(own.problem)) for own in plan.solves)
+        )
+        if any(solve.problem.relief is not None for solve in plan.solves):
             raise ValueError(
                 f"indenter ({self.indenter.label}): has relief finer than the mesh at quality {self.quality}, which a "
                 "library does not hold; solve its poses by themselves"

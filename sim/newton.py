@@ -14,6 +14,7 @@ from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
+from gelgap.sim.relief import recesses_of
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 from gelgap.sim.steady import solve_steadily
 
@@ -102,7 +103,7 @@ class StaticNewton:
         self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
         self.data = mujoco.MjData(gel.model)
         self.contacts = FrictionalContacts(
-            gel, self.data, problem.indenter, problem.friction, problem.static_friction
+            gel, self.data, problem.indenter, problem.friction, problem.static_friction, recesses_of(problem)
         )
         self.body: Indenter = problem.indenter
         self.command = np.zeros(6)
@@ -287,7 +288,7 @@ class StaticNewton:
 
     def _accelerate_by_kept_tangent(self) -> None:
         """Set the accelerations to the solution of the condensed problem with the factor that is there."""
-        self._set_up_solver(tolerance=np.inf)
+        self._set_up_solver()
         try:
             self.data.qacc[:] = self._contact_newton.acceleration()
         except np.linalg.LinAlgError:
@@ -300,8 +301,7 @@ class StaticNewton:
         """
         model, data = self.gel.model, self.data
         if data.ncon > 0 and self._condensed:
-            # With an endless tolerance the solver ends where it starts.
-            self._set_up_solver(tolerance=np.inf)
+            self._set_up_solver()
             try:
                 self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
                 self._contact_newton.factorise()
@@ -319,13 +319,16 @@ class StaticNewton:
                 if data.solver_niter[0] == 0 and np.array_equal(data.qacc, data.qacc_warmstart):
                     return True
         self.left_to_mujoco += 1
-        self._set_up_solver(tolerance=0)
+        self._set_up_solver()
+        model.opt.tolerance = 0
+        mujoco.mj_fwdConstraint(model, data)
         return False
 
-    def _set_up_solver(self, tolerance: float) -> None:
-        """Let MuJoCo set up its solver's problem, and solve it to a tolerance."""
-        self.gel.model.opt.tolerance = tolerance
+    def _set_up_solver(self) -> None:
+        """Let MuJoCo set up its solver's problem; with an endless tolerance the solver ends where it starts."""
+        self.gel.model.opt.tolerance = np.inf
         mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        self.contacts.soften()
 
     def _add_slip(self, start: State, moved_mm: float, turn: Floats | None) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether loaded ones ran away."""

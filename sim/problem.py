@@ -26,6 +26,8 @@ _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 _METHOD_VERSION = 30
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
+# Its patch is narrower than this share of it where it is a ring.
+_RING_SHARE = 0.9
 # Cells in a contact that is longer than wide are up to this many times as long as wide.
 _LONGEST_CELL = 2.0
 # A quality's load steps are those on a gel of this thickness, and are as long on a thicker one if the contact's radius
@@ -148,7 +150,8 @@ class ContactProblem:
     commanded displacements (x, y, z) of the indenter from touching the gel; a state is recorded at each. `parents` says
     for each from which waypoint it is reached, by its index, −1 for the undeformed gel: several drags can branch off
     one press. `turns_deg` are rotation vectors by which the indenter is turned about its origin at each waypoint; none
-    if it never is. `static_friction` is larger than `friction`, None if they are equal.
+    if it never is. `static_friction` is larger than `friction`, None if they are equal. `relief` is the body whose
+    recesses the indenter bridges, None if there are none.
     """
 
     moduli: Moduli
@@ -162,6 +165,7 @@ class ContactProblem:
     quality: Quality
     turns_deg: tuple[Waypoint, ...] = ()
     static_friction: float | None = None
+    relief: AnyIndenter | None = None
 
     @classmethod
     def of(
@@ -228,6 +232,11 @@ class ContactProblem:
             and min(map(abs, body.cut_mm(depth_mm))) >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
             for body, depth_mm in self.stands
         )
+
+    @property
+    def is_ring(self) -> bool:
+        """Whether the contact is round, and hollow in the middle."""
+        return self.is_round and self.meshed_radius_mm < _RING_SHARE * min(self.half_cut_mm)
 
     @property
     def symmetric(self) -> bool:
@@ -366,7 +375,8 @@ class ContactProblem:
         values = {"method": _METHOD_VERSION, "shape": shape, **asdict(self)}
         if not self.turns_deg:
             del values["turns_deg"]
-        if self.static_friction is None:
-            del values["static_friction"]
+        for name in ("static_friction", "relief"):
+            if values[name] is None:
+                del values[name]
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()

@@ -21,7 +21,7 @@ from gelgap.sim.membrane import (
     pressure_table,
     traction_table,
 )
-from gelgap.sim.relief import fill, is_bridged, with_fill
+from gelgap.sim.relief import recesses_of, with_fill
 from gelgap.sim.rim import contact_radius_mm, twist_factor
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.slip import Slip, Stand, slip_between
@@ -132,11 +132,12 @@ class ContactSolve:
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
         found = diagnose(self.solution, placement.record, radius_mm, ratio, folded=False)
-        if is_bridged(self.indenter, indenter) and contact.any():
+        recesses = recesses_of(self.solution.problem)
+        if recesses is not None and contact.any():
             table = pressure_table(self.solution, record)
-            pressure_mpa = ratio * table.around(self.pose, placement.frame, extent_mm)[1][contact, 0]
+            pressure_mpa = table.around(self.pose, placement.frame, extent_mm)[1][contact, 0]
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
-            filled_mm = fill(self.indenter, indenter, self.elastomer, from_origin_mm, pressure_mpa)
+            filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
             displacement_mm[contact] += filled_mm
             force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
             found = with_fill(found, filled_mm, force_n, depth_mm, self.solution.problem.quality.name)
