@@ -234,7 +234,7 @@ class ContactProblem:
         """Whether indenter, gel and waypoints are symmetric about y = 0, so that only y ≥ 0 is solved."""
         _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
         straight = y_max == -y_min and not self.commands[:, [1, 3, 5]].any()
-        return straight and all(body.symmetry is not Symmetry.NONE for body, _ in self.stands)
+        return straight and all(Symmetry.MIRROR_Y in body.symmetry for body, _ in self.stands)
 
     @property
     def mesh_size(self) -> MeshSize:

@@ -222,9 +222,9 @@ class Scene:
     sharing: Sharing
 
     def indenter_in_frame(self, *, edges: bool) -> Indenter:
-        """Return the indenter as its contacts are solved: not turned, unless the pad has `edges` that matter."""
-        upright = self.indenter.yawed(-self.indenter.yaw)
-        return self.indenter if edges and upright.symmetry is not Symmetry.REVOLUTION else upright
+        """Return the indenter as its contacts are solved: straightened, unless the pad has `edges` that matter."""
+        straight = self.indenter.straightened()
+        return self.indenter if edges and straight.symmetry is not Symmetry.REVOLUTION else straight
 
     def check(self, pose: Pose) -> None:
         """Raise ValueError if a pose lies off the pad, or deeper or further sideways than can be solved."""
@@ -309,8 +309,8 @@ def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     """Return the frame of a pose, by the symmetries that pad and indenter have and `scene.sharing` allows.
 
-    The travel of an interior pose under a body of revolution is turned to +x; another body that is turned is solved as
-    if it was not, in a frame that is. Other poses are mirrored to the pad's first quadrant, where their travel decides
+    The travel of an interior pose under a body of revolution is turned to +x; another body that is turned is solved
+    straightened, in a frame that is turned. Other poses are mirrored to the pad's first quadrant, where their travel decides
     if they lie on an axis of the pad.
     """
     elastomer, sharing = scene.elastomer, scene.sharing
@@ -328,8 +328,9 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     x, y = (0.0, 0.0) if interior else (x, y)
     shear_x, shear_y = turn.T @ [pose.shear_x_mm, pose.shear_y_mm]
     mirror = np.ones(2)
-    if sharing.reflection and indenter.symmetry is not Symmetry.NONE:
+    if sharing.reflection and Symmetry.MIRROR_X in indenter.symmetry:
         mirror[0] = -1.0 if x < 0 or (x == 0 and shear_x < -1e-12) else 1.0
+    if sharing.reflection and Symmetry.MIRROR_Y in indenter.symmetry:
         mirror[1] = -1.0 if y < 0 or (y == 0 and shear_y < -1e-12) else 1.0
     x, y = x * mirror[0] + 0.0, y * mirror[1] + 0.0
     edges = (-half_x - x, half_x - x, -half_y - y, half_y - y)
