@@ -95,9 +95,10 @@ def _sizes_under(
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the places, sizes and growths of `Sizes` under the indenter as it is turned once on its way."""
     cell_mm, size = problem.cell_along_mm(axis), problem.mesh_size
-    low, high = np.reshape(body.cut_mm(depth_mm), (2, 2))[axis]
+    low, high = problem.cut_by(body, depth_mm)[axis]
     growth = math.log(size.ring_growth)
-    places, radius = body.curvature(depth_mm, axis, cell_mm * (EDGE_STEP_CELLS if problem.is_round else 1.0))
+    step_mm = cell_mm * (EDGE_STEP_CELLS if problem.is_round else 1.0)
+    places, radius = _curvature_on_gel(problem, body, depth_mm, axis, step_mm)
     turned = _TURN_PER_CELL * radius / size.across
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
@@ -128,6 +129,16 @@ def _sizes_under(
         growth * np.where(beyond, _INWARDS, 1.0),
         growth * np.where(beyond, 1.0, _INWARDS),
     )
+
+
+def _curvature_on_gel(
+    problem: ContactProblem, body: Indenter, depth_mm: float, axis: int, step_mm: float
+) -> tuple[Floats, Floats]:
+    """Return a body's curvature along an axis, without what reaches beyond a pad that is narrower."""
+    low, high = problem.cut_by(body, depth_mm)[axis]
+    places, radius = body.curvature(depth_mm, axis, step_mm)
+    on_gel = (places > low - step_mm) & (places < high + step_mm)
+    return places[on_gel], radius[on_gel]
 
 
 def check_sharpness(problem: ContactProblem) -> None:
@@ -169,6 +180,6 @@ def is_served(problem: ContactProblem) -> bool:
 def edge_radius_mm(problem: ContactProblem, step_mm: float) -> float:
     """Return the smallest radius of curvature, over a step, of what the indenter presses; infinite for a sphere."""
     return min(
-        body.curvature(depth_mm, axis, step_mm)[1].min(initial=np.inf)
+        _curvature_on_gel(problem, body, depth_mm, axis, step_mm)[1].min(initial=np.inf)
         for (body, depth_mm), axis in product(problem.stands, (0, 1))
     )

@@ -225,7 +225,8 @@ class ContactProblem:
         """Whether what the indenter cuts of the rest membrane is always a disc around its axis, or nearly so."""
         return all(
             (body.convex or body.symmetry is Symmetry.REVOLUTION)
-            and min(map(abs, body.cut_mm(depth_mm))) >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
+            and np.abs(self.cut_by(body, depth_mm)).min()
+            >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
             for body, depth_mm in self.stands
         )
 
@@ -256,13 +257,25 @@ class ContactProblem:
         """The radius within which the indenter, at its deepest, cuts the undeformed membrane."""
         return max(body.penetration_radius_mm(depth_mm) for body, depth_mm in self.stands)
 
+    def cut_by(self, body: AnyIndenter, depth_mm: float) -> Floats:
+        """Return x and y, from and to (2, 2), of where a body cuts the undeformed membrane: all of a narrower pad."""
+        cut_mm = np.reshape(body.cut_mm(depth_mm), (2, 2))
+        if self.pad_mm is None:
+            return cut_mm
+        pad_mm = np.reshape(self.pad_mm, (2, 2))
+        return np.where(
+            np.ptp(cut_mm, axis=1, keepdims=True) > np.ptp(pad_mm, axis=1, keepdims=True), pad_mm, cut_mm
+        )
+
     @property
     def cut_mm(self) -> tuple[float, float, float, float]:
         """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
-        x_min, x_max, y_min, y_max = zip(
-            *(body.cut_mm(depth_mm) for body, depth_mm in self.stands), strict=True
+        cuts_mm = np.array([self.cut_by(body, depth_mm) for body, depth_mm in self.stands])
+        (x_min, y_min), (x_max, y_max) = (
+            cuts_mm[..., 0].min(axis=0).tolist(),
+            cuts_mm[..., 1].max(axis=0).tolist(),
         )
-        return min(x_min), max(x_max), min(y_min), max(y_max)
+        return x_min, x_max, y_min, y_max
 
     @property
     def half_cut_mm(self) -> tuple[float, float]:

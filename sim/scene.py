@@ -24,7 +24,6 @@ NO_CLASS = -1
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
-_DEPTH_STEP_MM = 1e-3
 _ROUNDING_MM = 1e-9
 LARGEST_TURN_DEG = 90.0
 
@@ -129,17 +128,8 @@ class Elastomer(PresetSettings):
 
 
 def deepest_mm(elastomer: Elastomer, indenter: Indenter) -> float:
-    """Return the largest depth that a gel allows: by its thickness, the indenter, and the size of its pad."""
-    from scipy.optimize import bisect
-
-    def too_wide_mm(depth_mm: float) -> float:
-        width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1)
-        return float((width_mm - elastomer.pad_size_mm).max())
-
-    deepest = min(_DEEPEST_THICKNESSES * elastomer.thickness_mm, indenter.deepest_mm)
-    if too_wide_mm(deepest) <= 0 or too_wide_mm(_DEPTH_STEP_MM) > 0:
-        return deepest
-    return max(bisect(too_wide_mm, _DEPTH_STEP_MM, deepest, xtol=_DEPTH_STEP_MM) - _DEPTH_STEP_MM, 0.0)
+    """Return the largest depth that a gel allows: by its thickness and the indenter."""
+    return min(_DEEPEST_THICKNESSES * elastomer.thickness_mm, indenter.deepest_mm)
 
 
 @dataclass(frozen=True)
@@ -235,20 +225,13 @@ class Scene:
             value, half = getattr(pose, name), size / 2
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
-        deepest = min(_DEEPEST_THICKNESSES * gel.thickness_mm, indenter.deepest_mm)
+        deepest = deepest_mm(gel, indenter)
         if depth_mm > deepest + _ROUNDING_MM:
             raise ValueError(
                 f"depth_mm = {depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
                 f"the pad's thickness and {indenter.deepest_mm:g} mm for the indenter ({indenter.label})"
             )
         indenter.check(depth_mm)
-        x_min, x_max, y_min, y_max = indenter.cut_mm(depth_mm)
-        for axis, width, size in zip("xy", (x_max - x_min, y_max - y_min), gel.pad_size_mm, strict=True):
-            if width > size:
-                raise ValueError(
-                    f"indenter ({indenter.label}): is {width:.3g} mm wide along {axis} at a depth of {depth_mm:g} "
-                    f"mm, must be at most the pad's {size:g} mm"
-                )
         if pose.radius_mm > gel.thickness_mm:
             raise ValueError(
                 f"shear = {pose.radius_mm:g} mm: must be at most the pad's thickness, {gel.thickness_mm:g} mm"
@@ -309,9 +292,9 @@ def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     """Return the frame of a pose, by the symmetries that pad and indenter have and `scene.sharing` allows.
 
-    The travel of an interior pose under a body of revolution is turned to +x; another body that is turned is solved
-    straightened, in a frame that is turned. Other poses are mirrored to the pad's first quadrant, where their travel decides
-    if they lie on an axis of the pad.
+    The travel of an interior pose under a body of revolution is turned to +x; another body is solved straightened, in a
+    frame that is turned. Other poses are mirrored to the pad's first quadrant, where their travel decides if they lie
+    on an axis of the pad.
     """
     elastomer, sharing = scene.elastomer, scene.sharing
     half_x, half_y = elastomer.pad_size_mm[0] / 2, elastomer.pad_size_mm[1] / 2
