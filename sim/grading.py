@@ -33,7 +33,7 @@ _SHARPEST_RING_CELLS, _SHARPEST_CELLS = 0.18, 0.35
 # edges of less than 0.6 cells looked alike, and a cylinder was pressed 2 to 4 % too lightly (edge 0.1 mm); a box
 # of 5 × 7 mm with lines as fine took 1.7 times as long, and its force was 1.5 % too large.
 EDGE_STEP_CELLS = 0.35
-_FINEST_TRIED = 8
+_FINEST_TRIED = 12
 # A contact that is nowhere wider than this share of a cell falls through the mesh; one of fewer places of a height
 # map, between them.
 _THINNEST_CELLS, _THINNEST_PLACES = 0.5, 2.0
@@ -82,7 +82,8 @@ def sizes_along(
         return sizes
     # Cells along a body of many features are as fine as their number allows.
     low, high = np.reshape(problem.cut_mm, (2, 2))[axis] + swept_mm
-    finest_mm = np.geomspace(sizes.size_mm.min(), problem.cell_mm, _FINEST_TRIED)
+    largest_mm = max(problem.cell_mm, (high - low) / problem.most_cells_along)
+    finest_mm = np.geomspace(sizes.size_mm.min(), largest_mm, _FINEST_TRIED)
     for least_mm in finest_mm:
         sizes = replace(sizes, size_mm=np.maximum(sizes.size_mm, least_mm))
         if len(sizes.positions_mm(low, high)) <= problem.most_cells_along + 1:

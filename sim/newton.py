@@ -46,6 +46,9 @@ _EXTRAPOLATION_SHARE = 0.02
 # friction too long a step ends on another equilibrium than shorter ones agree on. It matters with this share of the
 # load.
 _RUNAWAY_RATIO, _RUNAWAY_LOAD_SHARE = 1.6, 0.05
+# What a wide flat squeezes out slides this many times as far for each thickness of the gel that it is wide: 1.5 times a
+# layer's mean.
+_SQUEEZED_RATIO = 0.75
 # If vertices with this share of the load run away all the same, the contact has snapped: where it comes to rest is
 # dynamics, which statics does not determine.
 _SNAPPED_LOAD_SHARE = 0.25
@@ -341,7 +344,8 @@ class StaticNewton:
         total_mm = self.slip_mm.copy()
         total_mm[nodes] += slip_mm
         self.slip_mm = np.where(self.active, total_mm, 0.0)
-        away = slip_mm > _RUNAWAY_RATIO * moved_mm
+        ratio = max(_RUNAWAY_RATIO, _SQUEEZED_RATIO * self.problem.contact_width)
+        away = slip_mm > ratio * moved_mm
         away_share = load[away].sum() / max(load.sum(), 1e-300)
         self.snapped |= bool(away_share > _SNAPPED_LOAD_SHARE)
         return bool(away_share > _RUNAWAY_LOAD_SHARE)

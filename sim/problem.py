@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
 
@@ -128,7 +128,7 @@ QUALITIES = {
     ),
 }
 
-# Along each axis, cells under a body that is not convex: what would need more of them is not resolved.
+# Along each axis, cells of half a disc under a body that is not convex: what would need more of them is not resolved.
 _MOST_CELLS_ALONG = {"draft": 20, "standard": 32, "fine": 48}
 
 
@@ -181,7 +181,7 @@ class ContactProblem:
         gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
-        return cls(
+        problem = cls(
             moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
@@ -194,6 +194,16 @@ class ContactProblem:
             turns_deg=turns if any(map(any, turns)) else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )
+        if not problem.covers_pad:
+            return problem
+        if gel.poisson_ratio > LARGEST_POISSON_RATIO:
+            raise ValueError(
+                f"poisson_ratio = {gel.poisson_ratio:g}: under an indenter ({scene.indenter.label}) that covers "
+                f"the pad the gel resists by its volume; must be at most {LARGEST_POISSON_RATIO:g}"
+            )
+        # Equivalent moduli are those of presses beside which the gel can rise.
+        own = Moduli(round(gel.young_modulus_mpa * scale, 12), gel.poisson_ratio)
+        return replace(problem, moduli=own)
 
     @property
     def commands(self) -> Floats:
@@ -278,6 +288,11 @@ class ContactProblem:
         return x_min, x_max, y_min, y_max
 
     @property
+    def covers_pad(self) -> bool:
+        """Whether the indenter, at its deepest, is wider than the pad along both sides."""
+        return self.pad_mm is not None and self.cut_mm == tuple(map(float, np.ravel(self.pad_mm)))
+
+    @property
     def half_cut_mm(self) -> tuple[float, float]:
         """Half of how far, along x and y, the indenter at its deepest cuts the undeformed membrane."""
         x_min, x_max, y_min, y_max = self.cut_mm
@@ -315,8 +330,10 @@ class ContactProblem:
 
     @property
     def most_cells_along(self) -> int:
-        """How many cells there are at most along each axis under a body that is not convex."""
-        return _MOST_CELLS_ALONG[self.quality.name]
+        """How many cells there are at most along each axis under a body that is not convex; fewer of a whole pad."""
+        return int(
+            _MOST_CELLS_ALONG[self.quality.name] * self.mesh_size.across / self.quality.disc.across + 1e-9
+        )
 
     def cell_along_mm(self, axis: int) -> float:
         """Return the same along x or y (axis 0, 1): a long contact is as many cells long as wide, or nearly so."""
