@@ -57,7 +57,7 @@ _RING_SHARE = 0.9
 _SHARP_EDGE = 0.0055
 # Gel of ν 0.48 that is covered wholly, 0.15 of 3 mm deep, has 3 % too much force without friction and 2.5 % too little
 # without slip beside felupe at `draft`: MuJoCo's energy is not its own under pressure from all sides.
-_COVERED = 0.015
+_COVERED = 0.0175
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
 # The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.

@@ -17,6 +17,8 @@ _RELIEF_MM, _DEEPEST_MM = 0.8, 1.0
 _FAR_MM = 1e3
 # What may be the smallest radius of a body, by its shape.
 _ROUNDINGS = ("edge_radius_mm", "tip_radius_mm", "radius_mm")
+# Creases of several bodies are filled by a ball of this radius at most.
+_LARGEST_FILL_MM = 0.2
 # Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
 _LETTERS = {
     "G": (
@@ -45,7 +47,7 @@ def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surfa
     """Return bodies as one, each with its place (x, y, z): of its axis, and how high its lowest point is.
 
     It is pressed no deeper than the part that is first at its own limit. Fields are those of `Surface`; without
-    `edge_radius_mm` a ball fills creases that fits the sharpest part's edges.
+    `edge_radius_mm` a ball of 0.2 mm, or of the sharpest part's radius, fills creases.
 
     Raises
     ------
@@ -61,7 +63,7 @@ def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surfa
         deepest_mm = min(deepest_mm, z - lowest_mm + body.deepest_mm)
     heights_mm, spacing_mm = grid_under(np.concatenate(triangles_mm))
     radii_mm = [getattr(body, name) for body, _ in parts for name in _ROUNDINGS if hasattr(body, name)]
-    fields = {"edge_radius_mm": min(radii_mm, default=0.0), **fields}
+    fields = {"edge_radius_mm": min(_LARGEST_FILL_MM, *radii_mm), **fields}
     return Surface.of(heights_mm, spacing_mm, height_mm=round(2 * deepest_mm, 9), **fields)
 
 

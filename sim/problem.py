@@ -11,7 +11,7 @@ from typing import Literal, Self
 import numpy as np
 
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
-from gelgap.sim.scene import Moduli, PadEdges, Scene
+from gelgap.sim.scene import Elastomer, Moduli, PadEdges, Scene
 from gelgap.sim.shapes import AnyIndenter
 
 # Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
@@ -201,9 +201,14 @@ class ContactProblem:
                 f"poisson_ratio = {gel.poisson_ratio:g}: under an indenter ({scene.indenter.label}) that covers "
                 f"the pad the gel resists by its volume; must be at most {LARGEST_POISSON_RATIO:g}"
             )
-        # Equivalent moduli are those of presses beside which the gel can rise.
-        own = Moduli(round(gel.young_modulus_mpa * scale, 12), gel.poisson_ratio)
-        return replace(problem, moduli=own)
+        own = problem.moduli_of(gel)
+        return replace(
+            problem, moduli=replace(own, young_modulus_mpa=round(own.young_modulus_mpa * scale, 12))
+        )
+
+    def moduli_of(self, gel: Elastomer) -> Moduli:
+        """Return the moduli with which MuJoCo's energy acts as a gel's: equivalent ones, if the gel can rise beside."""
+        return Moduli(gel.young_modulus_mpa, gel.poisson_ratio) if self.covers_pad else gel.mujoco_moduli
 
     @property
     def commands(self) -> Floats:
