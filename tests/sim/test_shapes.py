@@ -247,7 +247,7 @@ def test_half_of_a_body_that_leans_is_solved_and_takes_its_force() -> None:
     half = solve_pose(GEL, leaning, pose, "draft", ALONE)
     whole = solve_pose(GEL, leaning, pose, "draft", Sharing(cache=False, translation=False))
     assert not whole.contact_solve.solution.problem.symmetric
-    np.testing.assert_allclose(half.force_n, whole.force_n, atol=0.02 * abs(whole.force_n[2]))
+    np.testing.assert_allclose(half.force_n, whole.force_n, atol=0.03 * abs(whole.force_n[2]))
 
 
 def test_a_contact_whose_rim_is_near_the_pads_edge_has_that_edge() -> None:
