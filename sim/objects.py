@@ -15,7 +15,6 @@ _HALF_MM = 3.6
 _RELIEF_MM, _DEEPEST_MM = 0.8, 1.0
 # From so far away, the points of a body nearest to points all around it are spread over all of it.
 _FAR_MM = 1e3
-# What may be the smallest radius of a body, by its shape.
 _ROUNDINGS = ("edge_radius_mm", "tip_radius_mm", "radius_mm")
 # Creases of several bodies are filled by a ball of this radius at most.
 _LARGEST_FILL_MM = 0.2

@@ -278,18 +278,15 @@ class ContactProblem:
         if self.pad_mm is None:
             return cut_mm
         pad_mm = np.reshape(self.pad_mm, (2, 2))
-        return np.where(
-            np.ptp(cut_mm, axis=1, keepdims=True) > np.ptp(pad_mm, axis=1, keepdims=True), pad_mm, cut_mm
-        )
+        is_wider = np.ptp(cut_mm, axis=1, keepdims=True) > np.ptp(pad_mm, axis=1, keepdims=True)
+        return np.where(is_wider, pad_mm, cut_mm)
 
     @property
     def cut_mm(self) -> tuple[float, float, float, float]:
         """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
         cuts_mm = np.array([self.cut_by(body, depth_mm) for body, depth_mm in self.stands])
-        (x_min, y_min), (x_max, y_max) = (
-            cuts_mm[..., 0].min(axis=0).tolist(),
-            cuts_mm[..., 1].max(axis=0).tolist(),
-        )
+        x_min, y_min = cuts_mm[..., 0].min(axis=0).tolist()
+        x_max, y_max = cuts_mm[..., 1].max(axis=0).tolist()
         return x_min, x_max, y_min, y_max
 
     @property
@@ -336,9 +333,8 @@ class ContactProblem:
     @property
     def most_cells_along(self) -> int:
         """How many cells there are at most along each axis under a body that is not convex; fewer of a whole pad."""
-        return int(
-            _MOST_CELLS_ALONG[self.quality.name] * self.mesh_size.across / self.quality.disc.across + 1e-9
-        )
+        share = self.mesh_size.across / self.quality.disc.across
+        return int(share * _MOST_CELLS_ALONG[self.quality.name] + 1e-9)
 
     def cell_along_mm(self, axis: int) -> float:
         """Return the same along x or y (axis 0, 1): a long contact is as many cells long as wide, or nearly so."""

@@ -22,8 +22,7 @@ POISSON_COEFFICIENTS = (0.0452, -0.1176)
 # The contact class of a pose that is not on the paper's grid.
 NO_CLASS = -1
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md), and from its
-# rim than the second. A flat end of R 4.5 mm (rim 1.8 thicknesses away) takes 1.7 % less force if they are meshed, one
-# of R 6 (1.3) 2.5 %.
+# rim than the second: meshed, they take 1.7 % of a flat end's force 1.8 thicknesses from its rim, 2.5 % at 1.3.
 _INTERIOR_THICKNESSES, _INTERIOR_RIM_THICKNESSES = 2.4, 1.5
 _DEEPEST_THICKNESSES = 0.6
 _ROUNDING_MM = 1e-9
