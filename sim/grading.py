@@ -36,7 +36,7 @@ _SHARPEST_RING_CELLS, _SHARPEST_CELLS = 0.18, 0.35
 # edges of less than 0.6 cells looked alike, and a cylinder was pressed 2 to 4 % too lightly (edge 0.1 mm); a box
 # of 5 × 7 mm with lines as fine took 1.7 times as long, and its force was 1.5 % too large.
 EDGE_STEP_CELLS = 0.35
-_FINEST_TRIED = 8
+_FINEST_TRIED = 12
 # A contact that is nowhere wider than this share of a cell falls through the mesh; one of fewer places of a height
 # map, between them.
 _THINNEST_CELLS, _THINNEST_PLACES = 0.5, 2.0
@@ -89,7 +89,8 @@ def sizes_along(
         return sizes
     # Cells along a body of many features are as fine as their number allows.
     low, high = np.reshape(problem.cut_mm, (2, 2))[axis] + swept_mm
-    finest_mm = np.geomspace(sizes.size_mm.min(), problem.cell_mm, _FINEST_TRIED)
+    largest_mm = max(problem.cell_mm, (high - low) / problem.most_cells_along)
+    finest_mm = np.geomspace(sizes.size_mm.min(), largest_mm, _FINEST_TRIED)
     for least_mm in finest_mm:
         sizes = replace(sizes, size_mm=np.maximum(sizes.size_mm, least_mm))
         if len(sizes.positions_mm(low, high)) <= problem.most_cells_along + 1:
@@ -102,9 +103,10 @@ def _sizes_under(
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the places, sizes and growths of `Sizes` under the indenter as it is turned once on its way."""
     cell_mm, size = problem.cell_along_mm(axis), problem.mesh_size
-    low, high = np.reshape(body.cut_mm(depth_mm), (2, 2))[axis]
+    low, high = problem.cut_by(body, depth_mm)[axis]
     growth = math.log(size.ring_growth) * (_BESIDE_RING if problem.is_ring else 1.0)
-    places, radius = body.curvature(depth_mm, axis, cell_mm * (EDGE_STEP_CELLS if problem.is_round else 1.0))
+    step_mm = cell_mm * (EDGE_STEP_CELLS if problem.is_round else 1.0)
+    places, radius = _curvature_on_gel(problem, body, depth_mm, axis, step_mm)
     turned = _TURN_PER_CELL * radius / size.across
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
@@ -135,6 +137,16 @@ def _sizes_under(
         growth * np.where(beyond, _INWARDS, 1.0),
         growth * np.where(beyond, 1.0, _INWARDS),
     )
+
+
+def _curvature_on_gel(
+    problem: ContactProblem, body: Indenter, depth_mm: float, axis: int, step_mm: float
+) -> tuple[Floats, Floats]:
+    """Return a body's curvature along an axis, without what reaches beyond a pad that is narrower."""
+    low, high = problem.cut_by(body, depth_mm)[axis]
+    places, radius = body.curvature(depth_mm, axis, step_mm)
+    on_gel = (places > low - step_mm) & (places < high + step_mm)
+    return places[on_gel], radius[on_gel]
 
 
 def check_sharpness(problem: ContactProblem) -> None:
@@ -176,6 +188,6 @@ def is_served(problem: ContactProblem) -> bool:
 def edge_radius_mm(problem: ContactProblem, step_mm: float) -> float:
     """Return the smallest radius of curvature, over a step, of what the indenter presses; infinite for a sphere."""
     return min(
-        body.curvature(depth_mm, axis, step_mm)[1].min(initial=np.inf)
+        _curvature_on_gel(problem, body, depth_mm, axis, step_mm)[1].min(initial=np.inf)
         for (body, depth_mm), axis in product(problem.stands, (0, 1))
     )

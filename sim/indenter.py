@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from enum import Enum
+from enum import Flag
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -15,12 +15,17 @@ from gelgap.assets.settings import Settings, within
 Floats = NDArray[np.float64]
 
 
-class Symmetry(Enum):
-    """Which motions of the sensor's plane leave a shape unchanged, and so which contacts can share a solution."""
+class Symmetry(Flag):
+    """Which motions of the sensor's plane leave a shape unchanged, and so which contacts can share a solution.
 
-    REVOLUTION = "about the vertical axis"
-    MIRROR = "in the planes x = 0 and y = 0"
-    NONE = "none"
+    `MIRROR_X` turns x into −x, `MIRROR_Y` y into −y; `REVOLUTION` is all turns about the vertical axis, and these too.
+    """
+
+    NONE = 0
+    MIRROR_X = 1
+    MIRROR_Y = 2
+    MIRROR = 3
+    REVOLUTION = 7
 
 
 class Projection(NamedTuple):
@@ -118,6 +123,10 @@ class Indenter(Settings, ABC):
 
     def yawed(self, yaw_deg: float) -> Self:
         """Return the body turned about the vertical axis by so much more."""
+        return self
+
+    def straightened(self) -> Self:
+        """Return the body turned about the vertical axis as it is solved: mirrored in y = 0 if any turn does that."""
         return self
 
     def turned(self, turn_deg: Sequence[float]) -> Self:

@@ -338,7 +338,7 @@ class PoseLibrary:
             If the pose is deeper or further sideways than the library, or so near the pad's edge that this matters.
         """
         self.plan.ranges.check(pose)
-        if not is_interior(elastomer, pose):
+        if not is_interior(elastomer, self.plan.indenter, pose):
             raise ValueError(
                 f"contact point ({pose.point_x_mm:g}, {pose.point_y_mm:g}) mm: a library serves points that the pad's "
                 "edges are too far from to matter; solve this pose by itself"

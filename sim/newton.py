@@ -47,6 +47,9 @@ _EXTRAPOLATION_SHARE = 0.02
 # friction too long a step ends on another equilibrium than shorter ones agree on. It matters with this share of the
 # load.
 _RUNAWAY_RATIO, _RUNAWAY_LOAD_SHARE = 1.6, 0.05
+# What a wide flat squeezes out slides this many times as far as it goes down, for each thickness of the gel that it is
+# wide: 1.5 times a layer's mean.
+_SQUEEZED_RATIO = 0.75
 # If vertices with this share of the load run away all the same, the contact has snapped: where it comes to rest is
 # dynamics, which statics does not determine.
 _SNAPPED_LOAD_SHARE = 0.25
@@ -175,6 +178,7 @@ class StaticNewton:
         if change[3:].any():
             turn = rotation(command[3:]) @ rotation(start.command[3:]).T
             moved_mm += self.problem.arc_mm(change[3:])
+        squeezed_mm = _SQUEEZED_RATIO * self.problem.contact_width * abs(float(change[2]))
         is_travel = displacement_mm[:2].any() or turn is not None
         tolerance = quality.travel_tolerance if is_travel else quality.press_tolerance
         furthest_mm = _EXTRAPOLATION_SHARE * self.problem.indenter.feature_size_mm
@@ -228,7 +232,7 @@ class StaticNewton:
             # The first increment is the load step's own.
             if iteration > 0:
                 correction = acceleration.correction(data.qpos, data.qvel, furthest_mm)
-        return converged, self._add_slip(start, moved_mm, turn)
+        return converged, self._add_slip(start, max(_RUNAWAY_RATIO * moved_mm, squeezed_mm), turn)
 
     def iterate(
         self,
@@ -330,8 +334,8 @@ class StaticNewton:
         mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
         self.contacts.soften()
 
-    def _add_slip(self, start: State, moved_mm: float, turn: Floats | None) -> bool:
-        """Add what nodes that stayed in touch slid in the load step; return whether loaded ones ran away."""
+    def _add_slip(self, start: State, furthest_mm: float, turn: Floats | None) -> bool:
+        """Add what nodes that stayed in touch slid in the load step; return whether loaded ones slid further."""
         nodes, load = self.contacts.nodes, self.contacts.normal_force_n
         slid = np.zeros(self.data.nefc)
         if len(nodes):
@@ -344,7 +348,7 @@ class StaticNewton:
         total_mm = self.slip_mm.copy()
         total_mm[nodes] += slip_mm
         self.slip_mm = np.where(self.active, total_mm, 0.0)
-        away = slip_mm > _RUNAWAY_RATIO * moved_mm
+        away = slip_mm > furthest_mm
         away_share = load[away].sum() / max(load.sum(), 1e-300)
         self.snapped |= bool(away_share > _SNAPPED_LOAD_SHARE)
         return bool(away_share > _RUNAWAY_LOAD_SHARE)

@@ -15,6 +15,9 @@ _HALF_MM = 3.6
 _RELIEF_MM, _DEEPEST_MM = 0.8, 1.0
 # From so far away, the points of a body nearest to points all around it are spread over all of it.
 _FAR_MM = 1e3
+_ROUNDINGS = ("edge_radius_mm", "tip_radius_mm", "radius_mm")
+# Creases of several bodies are filled by a ball of this radius at most.
+_LARGEST_FILL_MM = 0.2
 # Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
 _LETTERS = {
     "G": (
@@ -42,7 +45,8 @@ def object_surface(name: str, edge_radius_mm: float = 0.2, **fields: Any) -> Sur
 def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surface:
     """Return bodies as one, each with its place (x, y, z): of its axis, and how high its lowest point is.
 
-    It is pressed no deeper than the part that is first at its own limit. Fields are those of `Surface`.
+    It is pressed no deeper than the part that is first at its own limit. Fields are those of `Surface`; without
+    `edge_radius_mm` a ball of 0.2 mm, or of the sharpest part's radius, fills creases.
 
     Raises
     ------
@@ -57,6 +61,8 @@ def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surfa
         triangles_mm.append((vertices + place)[triangles])
         deepest_mm = min(deepest_mm, z - lowest_mm + body.deepest_mm)
     heights_mm, spacing_mm = grid_under(np.concatenate(triangles_mm))
+    radii_mm = [getattr(body, name) for body, _ in parts for name in _ROUNDINGS if hasattr(body, name)]
+    fields = {"edge_radius_mm": min(_LARGEST_FILL_MM, *radii_mm), **fields}
     return Surface.of(heights_mm, spacing_mm, height_mm=round(2 * deepest_mm, 9), **fields)
 
 

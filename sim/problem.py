@@ -4,14 +4,14 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
-from gelgap.sim.scene import Moduli, PadEdges, Scene
+from gelgap.sim.scene import Elastomer, Moduli, PadEdges, Scene
 from gelgap.sim.shapes import AnyIndenter
 
 # Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
@@ -130,7 +130,7 @@ QUALITIES = {
     ),
 }
 
-# Along each axis, cells under a body that is not convex: what would need more of them is not resolved.
+# Along each axis, cells of half a disc under a body that is not convex: what would need more of them is not resolved.
 _MOST_CELLS_ALONG = {"draft": 20, "standard": 32, "fine": 48}
 
 
@@ -185,7 +185,7 @@ class ContactProblem:
         gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
-        return cls(
+        problem = cls(
             moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
@@ -198,6 +198,21 @@ class ContactProblem:
             turns_deg=turns if any(map(any, turns)) else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )
+        if not problem.covers_pad:
+            return problem
+        if gel.poisson_ratio > LARGEST_POISSON_RATIO:
+            raise ValueError(
+                f"poisson_ratio = {gel.poisson_ratio:g}: under an indenter ({scene.indenter.label}) that covers "
+                f"the pad the gel resists by its volume; must be at most {LARGEST_POISSON_RATIO:g}"
+            )
+        own = problem.moduli_of(gel)
+        return replace(
+            problem, moduli=replace(own, young_modulus_mpa=round(own.young_modulus_mpa * scale, 12))
+        )
+
+    def moduli_of(self, gel: Elastomer) -> Moduli:
+        """Return the moduli with which MuJoCo's energy acts as a gel's: equivalent ones, if the gel can rise beside."""
+        return Moduli(gel.young_modulus_mpa, gel.poisson_ratio) if self.covers_pad else gel.mujoco_moduli
 
     @property
     def commands(self) -> Floats:
@@ -229,7 +244,8 @@ class ContactProblem:
         """Whether what the indenter cuts of the rest membrane is always a disc around its axis, or nearly so."""
         return all(
             (body.convex or body.symmetry is Symmetry.REVOLUTION)
-            and min(map(abs, body.cut_mm(depth_mm))) >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
+            and np.abs(self.cut_by(body, depth_mm)).min()
+            >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
             for body, depth_mm in self.stands
         )
 
@@ -243,7 +259,7 @@ class ContactProblem:
         """Whether indenter, gel and waypoints are symmetric about y = 0, so that only y ≥ 0 is solved."""
         _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
         straight = y_max == -y_min and not self.commands[:, [1, 3, 5]].any()
-        return straight and all(body.symmetry is not Symmetry.NONE for body, _ in self.stands)
+        return straight and all(Symmetry.MIRROR_Y in body.symmetry for body, _ in self.stands)
 
     @property
     def mesh_size(self) -> MeshSize:
@@ -265,13 +281,27 @@ class ContactProblem:
         """The radius within which the indenter, at its deepest, cuts the undeformed membrane."""
         return max(body.penetration_radius_mm(depth_mm) for body, depth_mm in self.stands)
 
+    def cut_by(self, body: AnyIndenter, depth_mm: float) -> Floats:
+        """Return x and y, from and to (2, 2), of where a body cuts the undeformed membrane: all of a narrower pad."""
+        cut_mm = np.reshape(body.cut_mm(depth_mm), (2, 2))
+        if self.pad_mm is None:
+            return cut_mm
+        pad_mm = np.reshape(self.pad_mm, (2, 2))
+        is_wider = np.ptp(cut_mm, axis=1, keepdims=True) > np.ptp(pad_mm, axis=1, keepdims=True)
+        return np.where(is_wider, pad_mm, cut_mm)
+
     @property
     def cut_mm(self) -> tuple[float, float, float, float]:
         """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
-        x_min, x_max, y_min, y_max = zip(
-            *(body.cut_mm(depth_mm) for body, depth_mm in self.stands), strict=True
-        )
-        return min(x_min), max(x_max), min(y_min), max(y_max)
+        cuts_mm = np.array([self.cut_by(body, depth_mm) for body, depth_mm in self.stands])
+        x_min, y_min = cuts_mm[..., 0].min(axis=0).tolist()
+        x_max, y_max = cuts_mm[..., 1].max(axis=0).tolist()
+        return x_min, x_max, y_min, y_max
+
+    @property
+    def covers_pad(self) -> bool:
+        """Whether the indenter, at its deepest, is wider than the pad along both sides."""
+        return self.pad_mm is not None and self.cut_mm == tuple(map(float, np.ravel(self.pad_mm)))
 
     @property
     def half_cut_mm(self) -> tuple[float, float]:
@@ -311,8 +341,9 @@ class ContactProblem:
 
     @property
     def most_cells_along(self) -> int:
-        """How many cells there are at most along each axis under a body that is not convex."""
-        return _MOST_CELLS_ALONG[self.quality.name]
+        """How many cells there are at most along each axis under a body that is not convex; fewer of a whole pad."""
+        share = self.mesh_size.across / self.quality.disc.across
+        return int(share * _MOST_CELLS_ALONG[self.quality.name] + 1e-9)
 
     def cell_along_mm(self, axis: int) -> float:
         """Return the same along x or y (axis 0, 1): a long contact is as many cells long as wide, or nearly so."""

@@ -84,11 +84,16 @@ class Shape(Indenter):
 
     @property
     def symmetry(self) -> Symmetry:
-        upright = self._upright_symmetry
-        if any(self.tilt_deg):
+        found = self._upright_symmetry
+        if found is not Symmetry.REVOLUTION and self.yaw_deg % 180 == 90:
+            exchanged = {Symmetry.MIRROR_X: Symmetry.MIRROR_Y, Symmetry.MIRROR_Y: Symmetry.MIRROR_X}
+            found = exchanged.get(found, found)
+        elif found is not Symmetry.REVOLUTION and self.yaw_deg % 180:
             return Symmetry.NONE
-        straight = self.yaw_deg % 90 == 0
-        return upright if upright is not Symmetry.MIRROR or straight else Symmetry.NONE
+        x_deg, y_deg = self.tilt_deg
+        if x_deg or y_deg:
+            found &= Symmetry.MIRROR_Y if not x_deg else Symmetry.MIRROR_X if not y_deg else Symmetry.NONE
+        return found
 
     @property
     def label(self) -> str:
@@ -114,6 +119,13 @@ class Shape(Indenter):
         tilt = tuple(round(value, 9) + 0.0 for value in (cosine * x - sine * y, sine * x + cosine * y))
         turned = (self.yaw_deg + yaw_deg + 180.0) % 360.0 - 180.0
         return self.model_copy(update={"yaw_deg": round(turned, 9) + 0.0, "tilt_deg": tilt})
+
+    def straightened(self) -> Self:
+        upright = self.yawed(-self.yaw_deg)
+        x_deg, y_deg = upright.tilt_deg
+        turns_deg = (0.0, 90.0, math.degrees(math.atan2(x_deg, y_deg)))
+        turned = (upright.yawed(turn) for turn in turns_deg)
+        return next((body for body in turned if Symmetry.MIRROR_Y in body.symmetry), upright)
 
     def turned(self, turn_deg: Sequence[float]) -> Self:
         if not any(turn_deg):

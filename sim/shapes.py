@@ -430,6 +430,8 @@ def _hull_symmetry(points: tuple[tuple[float, float, float], ...]) -> Symmetry:
 
     directions, corners = icosphere(subdivisions=3).vertices, _points_mm(points)
     reach_mm = (directions @ corners.T).max(axis=1)
-    mirrored = (((directions * sign) @ corners.T).max(axis=1) for sign in ([-1, 1, 1], [1, -1, 1]))
-    is_mirrored = all(np.abs(reach_mm - image_mm).max() < SAME_MM for image_mm in mirrored)
-    return Symmetry.MIRROR if is_mirrored else Symmetry.NONE
+    found = Symmetry.NONE
+    for sign, mirror in (([-1, 1, 1], Symmetry.MIRROR_X), ([1, -1, 1], Symmetry.MIRROR_Y)):
+        if np.abs(reach_mm - ((directions * sign) @ corners.T).max(axis=1)).max() < SAME_MM:
+            found |= mirror
+    return found

@@ -101,8 +101,8 @@ class ContactSolve:
     @property
     def modulus_ratio(self) -> float:
         """By how much forces are larger than those of the solved gel, which stands for all moduli."""
-        solved = self.solution.problem.moduli
-        return self.elastomer.mujoco_moduli.young_modulus_mpa / solved.young_modulus_mpa
+        problem = self.solution.problem
+        return problem.moduli_of(self.elastomer).young_modulus_mpa / problem.moduli.young_modulus_mpa
 
     @property
     def indenter_mm(self) -> Floats:

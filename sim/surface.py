@@ -395,8 +395,12 @@ def _symmetry(heights: str, columns: int, spacing_mm: float, step_mm: float) -> 
     # A place's distance from another surface is its height's share along the normal; walls lie between places.
     share = 1 / np.sqrt(1 + sum(part**2 for part in np.gradient(filled, spacing_mm)))
     share[share < _STEEP_SHARE] = 0.0
-    if not all(_is_same(own, image, share) for image in (own[::-1], own[:, ::-1])):
-        return Symmetry.NONE
+    found = Symmetry.NONE
+    for image, mirror in ((own[:, ::-1], Symmetry.MIRROR_X), (own[::-1], Symmetry.MIRROR_Y)):
+        if _is_same(own, image, share):
+            found |= mirror
+    if found is not Symmetry.MIRROR:
+        return found
     y, x = np.meshgrid(*(np.arange(side) - (side - 1) / 2 for side in own.shape), indexing="ij")
     for turn in np.radians(_TURNS_DEG):
         at = [y * math.cos(turn) - x * math.sin(turn), x * math.cos(turn) + y * math.sin(turn)]
@@ -404,7 +408,7 @@ def _symmetry(heights: str, columns: int, spacing_mm: float, step_mm: float) -> 
         turned = map_coordinates(filled, at, order=1, mode="nearest")
         there = map_coordinates(solid.astype(float), at, order=1, cval=0.0) >= 0.5
         if not _is_same(own, np.where(there, turned, np.inf), share):
-            return Symmetry.MIRROR
+            return found
     return Symmetry.REVOLUTION
 
 

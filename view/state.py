@@ -192,7 +192,7 @@ class LiveModel:
         if library is not None:
             self._last_library = library
             said = "interpolated between poses solved at draft"
-            if not is_interior(configuration.elastomer, configuration.pose):
+            if not is_interior(configuration.elastomer, configuration.indenter, configuration.pose):
                 said += "; the pad's edge, which is near, is left out"
         elif self._last_library is not None and self._last_library.plan.indenter == configuration.indenter:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"

@@ -53,7 +53,7 @@ class Contacts:
 
         def is_served(pose: Pose) -> bool:
             plain = pose.depth_mm > 0 and pose.trajectory is None and not any(pose.turn_deg)
-            return plain and is_interior(gel, pose)
+            return plain and is_interior(gel, indenter, pose)
 
         served = [pose for pose in path.poses if is_served(pose)]
         left = tuple(replace(pose, depth_mm=0.0) if is_served(pose) else pose for pose in path.poses)

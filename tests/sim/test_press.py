@@ -16,7 +16,7 @@ from gelgap.sim.press import (
     solve_pose,
     solve_poses,
 )
-from gelgap.sim.scene import Elastomer, Pose, Scene, Sharing, deepest_mm
+from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.shapes import Cylinder
 from gelgap.sim.solution import cache_use
 
@@ -219,15 +219,6 @@ def test_load_control_presses_a_tilted_face_until_all_of_it_touches() -> None:
     assert tilted.shallowest_mm == pytest.approx((8 - 0.4) * np.sin(np.radians(15)))
     with pytest.raises(ValueError, match="no depth on this gel lets all of the indenter"):
         pose_for_force(GEL, tilted, 1.0)
-
-
-def test_a_pad_may_allow_less_depth_than_gel_and_indenter() -> None:
-    thick, wide = GEL.model_copy(update={"thickness_mm": 20.0}), Sphere(diameter_mm=30.0)
-    deepest = deepest_mm(thick, wide)
-    assert wide.penetration_radius_mm(deepest) == pytest.approx(10.0, abs=2e-3)
-    Scene(thick, wide, "draft", Sharing()).check(Pose(depth_mm=deepest))
-    assert deepest_mm(GEL, wide) == pytest.approx(1.8)
-    Scene(GEL, wide, "draft", Sharing()).check(Pose(depth_mm=1.8))
 
 
 @pytest.mark.usefixtures("coarse")

@@ -94,7 +94,9 @@ def test_the_lowest_point_touches_and_the_cut_lies_on_the_surface(body: Shape) -
     ("body", "symmetry"),
     [
         (Cylinder(yaw_deg=20), Symmetry.REVOLUTION),
-        (Cylinder(tilt_deg=(2, 0)), Symmetry.NONE),
+        (Cylinder(tilt_deg=(2, 0)), Symmetry.MIRROR_X),
+        (Cylinder(tilt_deg=(2, 2)), Symmetry.NONE),
+        (Box(tilt_deg=(0, 2)), Symmetry.MIRROR_Y),
         (Box(), Symmetry.MIRROR),
         (Box(yaw_deg=90), Symmetry.MIRROR),
         (Box(yaw_deg=20), Symmetry.NONE),
@@ -155,7 +157,6 @@ def test_what_is_not_served_is_refused(name: str, fields: dict, message: str) ->
         (Box(edge_radius_mm=0.1), 0.3, "0.15 mm: quality standard serves it"),
         (ConvexMesh(hull_mm=TETRAHEDRON), 0.3, "sharper"),
         (Box(tilt_deg=(10, 0)), 0.2, "lifts the far side"),
-        (Box(size_mm=(40, 30)), 0.2, "at most the pad's"),
         (Cylinder(), 6.0, "depth_mm"),
     ],
 )
@@ -176,7 +177,7 @@ def test_rings_follow_a_sharper_edge_than_lines_and_finer_for_it() -> None:
 
 def test_a_mesh_that_is_its_own_mirror_image_shares_as_a_box_does() -> None:
     assert _ball_of_triangles().symmetry is Symmetry.MIRROR
-    assert ConvexMesh(hull_mm=TETRAHEDRON).symmetry is Symmetry.NONE
+    assert ConvexMesh(hull_mm=TETRAHEDRON).symmetry is Symmetry.MIRROR_Y
     assert _ball_of_triangles().yawed(30.0).symmetry is Symmetry.NONE
 
 
@@ -233,3 +234,38 @@ def test_the_middle_of_an_ellipsoid_is_as_far_from_its_surface_as_points_beside_
     )
     np.testing.assert_allclose(middle.distance_mm, beside.distance_mm, atol=1e-5)
     assert middle.distance_mm[0] == pytest.approx(-1.0)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_half_of_a_body_that_leans_is_solved_and_takes_its_force() -> None:
+    """The frame is turned so that it leans along x; with the pad's edges it is not."""
+    leaning = Cylinder(edge_radius_mm=0.3, tilt_deg=(3.0, 2.0))
+    pose = Pose(depth_mm=0.3)
+    problem = plan_visit(GEL, leaning, (pose,), "draft").solves[0].problem
+    assert problem.symmetric
+    assert problem.indenter.tilt_deg == (0.0, pytest.approx(np.hypot(3, 2)))
+    half = solve_pose(GEL, leaning, pose, "draft", ALONE)
+    whole = solve_pose(GEL, leaning, pose, "draft", Sharing(cache=False, translation=False))
+    assert not whole.contact_solve.solution.problem.symmetric
+    np.testing.assert_allclose(half.force_n, whole.force_n, atol=0.03 * abs(whole.force_n[2]))
+
+
+def test_a_contact_whose_rim_is_near_the_pads_edge_has_that_edge() -> None:
+    pose = Pose(depth_mm=0.2)
+    for diameter_mm, is_near in ((8.0, False), (14.0, True)):
+        problem = plan_visit(GEL, Cylinder(diameter_mm=diameter_mm), (pose,), "draft").solves[0].problem
+        assert (problem.pad_mm is not None) == is_near
+
+
+@pytest.mark.parametrize(("friction", "force_n"), [(0.0, 1.413), (10.0, 2.085)])
+def test_a_flat_that_is_wider_than_the_pad_presses_all_of_it(friction: float, force_n: float) -> None:
+    """Forces are those of felupe's mean-dilatation hexahedra, three meshes extrapolated."""
+    gel = GEL.model_copy(update={"friction": friction, "pad_size_mm": (9.0, 7.5)})
+    state = solve_pose(gel, Box(size_mm=(20, 20)), Pose(depth_mm=0.15), "draft", ALONE)
+    assert state.converged
+    assert abs(-state.force_n[2] - force_n) < 2 * state.diagnostics.fz_error_n
+    assert state.contact[np.ix_(np.abs(state.y_mm) < 3.7, np.abs(state.x_mm) < 4.4)].all()
+    with pytest.raises(ValueError, match=r"poisson_ratio = 0\.495: .* at most 0\.49"):
+        plan_visit(
+            gel.model_copy(update={"poisson_ratio": 0.495}), Box(size_mm=(20, 20)), (Pose(depth_mm=0.1),)
+        )

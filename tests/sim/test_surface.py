@@ -9,9 +9,11 @@ import trimesh
 from pydantic import TypeAdapter
 
 from gelgap.sim import Cylinder, Elastomer, Pose, Sharing, Sphere, Surface, load_indenter, solve_pose
+from gelgap.sim.grading import sizes_along
 from gelgap.sim.height_grid import lower_side_mm, rolled_mm
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.objects import OBJECTS
+from gelgap.sim.plan import plan_visit
 from gelgap.sim.shapes import AnyIndenter
 
 
@@ -27,6 +29,7 @@ def ball_mm(x: np.ndarray, y: np.ndarray, radius_mm: float) -> np.ndarray:
     return np.where(square <= radius_mm**2, height, np.inf)
 
 
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5)
 BALL = Surface.of(ball_mm(*over_a_square(1.52, 0.04), 1.5), 0.04, height_mm=3.0)
 X, Y = over_a_square(3.0, 0.05)
 TWO = Surface.of(np.minimum(ball_mm(X - 1.5, Y, 1.2), ball_mm(X + 1.5, Y, 1.2)), 0.05, height_mm=2.4)
@@ -237,3 +240,22 @@ def test_a_rounding_that_ends_at_a_wall_between_two_places_keeps_its_radius() ->
     assert np.abs(off_mm[20:].mean()) < 5e-3
     # A step shorter than the heights' spacing finds their facets, or an outline's steps, and takes them for edges.
     assert surface.curvature(0.29, 0, 0.01)[1].min() > 0.1
+
+
+def test_a_body_mirrored_in_one_plane_is_turned_so_that_half_of_it_is_solved() -> None:
+    lopsided = Surface.of(
+        np.minimum(ball_mm(X, Y - 1.5, 1.2), 0.1 + ball_mm(X, Y + 1.5, 1.2)), 0.05, height_mm=2.4
+    )
+    assert lopsided.symmetry is Symmetry.MIRROR_X
+    assert lopsided.yawed(90.0).symmetry is Symmetry.MIRROR_Y
+    assert lopsided.straightened().yaw_deg == 90.0
+    problem = plan_visit(GEL, lopsided, (Pose(depth_mm=0.3),), "draft").solves[0].problem
+    assert problem.symmetric
+
+
+def test_a_whole_pad_has_fewer_lines_under_a_body_of_many_features() -> None:
+    problem = plan_visit(GEL, load_indenter("letters"), (Pose(depth_mm=0.3),), "draft").solves[0].problem
+    assert not problem.symmetric
+    for axis in (0, 1):
+        low, high = np.reshape(problem.cut_mm, (2, 2))[axis]
+        assert len(sizes_along(problem, axis, 2.5, (0.0, 0.0)).positions_mm(low, high)) <= 17
