@@ -1,21 +1,26 @@
-"""Tetrahedra between lines along x and y, in blocks that are finer near a contact and coarser beside and below it.
+"""Tetrahedra of a pad: cells of its plane in layers, joined where the gel needs no finer ones, each split around its centre.
 
-Cells between lines that cross the whole gel are as narrow far from the contact as under it. Blocks of several of them
-leave 0.25 to 0.7 of the vertices, and a drag of an ellipsoid takes half of the time.
+Cells under a contact are as small as it needs; deeper and further away several of them become one, as do the thin
+layers where cells are wide. A touch of a thick pad (scene 34 of `benchmark stability`) has VERTS of its 15,900 vertices
+so, and takes TIME of the time.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.indenter import Floats
 
+Ints = NDArray[np.int64]
+# Corners of each plane cell, counterclockwise.
+Cells = Sequence[Ints]
 # Numbers of the lines between which a block lies: x first, y first, x last, y last.
 Block = tuple[int, int, int, int]
-Node = tuple[int, int]
+
+# Layers are joined in cells that are no higher then than this share of their half width.
+_HIGHEST_SHARE = 1.0
 
 
 @dataclass(frozen=True)
@@ -64,85 +69,189 @@ def blocks_between(lines: Sequence[Floats], coarsening: Coarsening, depth_mm: fl
 def split_blocks(
     lines: Sequence[Floats], layers_mm: Floats, coarsening: Coarsening
 ) -> tuple[Floats, NDArray[np.int32]]:
-    """Stack layers of blocks, `layers_mm` their z from 0 down; return vertices (n, 3) and tetrahedra (m, 4).
-
-    A block gets a vertex in its centre and one in the centre of each face, which are joined to the edges of the face.
-    Where smaller blocks lie above a block, their lower faces are its upper ones.
-    """
+    """Stack layers of blocks between lines, and split them as `split_cells` does."""
     x, y = lines
-    vertices: list[tuple[float, float, float]] = []
-    number: dict[Hashable, int] = {}
-    tetrahedra: list[tuple[int, int, int, int]] = []
-
-    def vertex(key: Hashable, at_x: float, at_y: float, at_z: float) -> int:
-        if key not in number:
-            number[key] = len(vertices)
-            vertices.append((at_x, at_y, at_z))
-        return number[key]
-
-    def corner(level: int, node: Node) -> int:
-        return vertex((level, *node), x[node[0]], y[node[1]], layers_mm[level])
-
-    above = blocks_between(lines, coarsening, 0.0)
-    above_corners = _corners(lines, above)
-    for layer, (top_mm, bottom_mm) in enumerate(pairwise(layers_mm)):
-        blocks = blocks_between(lines, coarsening, -top_mm)
-        is_corner = _corners(lines, blocks)
-        owner = np.empty(is_corner.shape, dtype=np.int64)
-        for index, (i, j, k, m) in enumerate(blocks):
-            owner[i:k, j:m] = index
-        upper: list[list[Block]] = [[] for _ in blocks]
-        for block in above:
-            upper[owner[block[0], block[1]]].append(block)
-        for block, on_top in zip(blocks, upper, strict=True):
-            i, j, k, m = block
-            at_x, at_y, at_z = (x[i] + x[k]) / 2, (y[j] + y[m]) / 2, (top_mm + bottom_mm) / 2
-            body = vertex((layer, block), at_x, at_y, at_z)
-            around = _around(block, is_corner)
-            faces = [((layer + 1, block, "level"), (at_x, at_y, bottom_mm), layer + 1, around, [])]
-            for own in on_top:
-                a, b, c, d = own
-                place = (x[a] + x[c]) / 2, (y[b] + y[d]) / 2, top_mm
-                faces.append(((layer, own, "level"), place, layer, _around(own, above_corners), []))
-            for start, end in zip(around, [*around[1:], around[0]], strict=True):
-                place = (x[start[0]] + x[end[0]]) / 2, (y[start[1]] + y[end[1]]) / 2, at_z
-                key = (layer, *sorted((start, end)))
-                faces.append((key, place, layer + 1, [start, end], _between(end, start, above_corners)))
-            for key, place, level, ring, ring_above in faces:
-                centre = vertex(key, *place)
-                edges = [corner(level, node) for node in ring] + [corner(layer, node) for node in ring_above]
-                tetrahedra += [
-                    (a, b, centre, body) for a, b in zip(edges, [*edges[1:], edges[0]], strict=True)
-                ]
-        above, above_corners = blocks, is_corner
-    return _outwards(np.array(vertices), np.array(tetrahedra, dtype=np.int32))
+    plane = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    node = np.arange(len(plane)).reshape(len(x), len(y))
+    cells = np.stack([node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1).reshape(-1, 4)
+    groups = np.empty((len(layers_mm) - 1, len(x) - 1, len(y) - 1), dtype=np.int64)
+    for layer, top_mm in enumerate(layers_mm[:-1]):
+        for number, (i, j, k, m) in enumerate(blocks_between(lines, coarsening, -top_mm)):
+            groups[layer, i:k, j:m] = number
+    return split_cells(plane, list(cells), layers_mm, groups.reshape(len(layers_mm) - 1, -1))
 
 
-def _corners(lines: Sequence[Floats], blocks: list[Block]) -> NDArray[np.bool_]:
-    """Return which crossings of lines are corners of blocks."""
-    is_corner = np.zeros((len(lines[0]), len(lines[1])), dtype=bool)
-    i, j, k, m = np.array(blocks).T
-    is_corner[np.concatenate([i, i, k, k]), np.concatenate([j, m, j, m])] = True
-    return is_corner
+def split_cells(
+    plane: Floats, cells: Cells, layers_mm: Floats, groups: Ints
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Stack layers of cells of a plane, `layers_mm` their z from 0 down; return vertices (n, 3) and tetrahedra (m, 4).
+
+    In each layer the cells of one of its `groups` (layers, cells) are one, and groups consist of whole ones of the
+    layer above. A cell gets a vertex in its centre and one in the centre of each face that it shares with one other,
+    and four or more tetrahedra at each: 24 if it is a hexahedron among equals.
+    """
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
+    sides, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
+    side = side.ravel()
+    owner = _joined_layers(plane, (start, end, cell, side), -layers_mm, groups)
+    levels, count, number = len(layers_mm), len(plane), len(sides)
+    # Of each side the cells on both sides; of one at the rim its straight line instead of the second.
+    order = np.argsort(side, kind="stable")
+    first = np.searchsorted(side[order], np.arange(number))
+    inner = np.bincount(side) == 2
+    one = cell[order[first]]
+    other = np.where(inner, cell[order[np.minimum(first + 1, len(order) - 1)]], -1)
+    beyond = -3 - _lines_at_rim(plane[sides], inner)
+    # Small faces, between what they lie, and what they are bounded by: edges along sides, then upright ones.
+    outside = np.full((1, len(cells)), -1)
+    level_faces = np.stack([np.vstack([outside, owner]), np.vstack([owner, outside - 1])], axis=-1)
+    upright = np.stack([owner[:, one], np.where(inner, owner[:, other], beyond)], axis=-1)
+    flat, above = np.arange(levels)[:, None], np.arange(levels - 1)[:, None]
+    first_upright = levels * number
+    of_cell = np.split(side, np.cumsum([len(corners) for corners in cells])[:-1])
+    between, edges = [], []
+    for own, corners in zip(level_faces.transpose(1, 0, 2), of_cell, strict=True):
+        apart = own[:, 0] != own[:, 1]
+        bounds = (flat * number + corners)[apart]
+        between.append(np.repeat(own[apart], len(corners), axis=0))
+        edges.append(bounds.ravel())
+    apart = upright[..., 0] != upright[..., 1]
+    standing = first_upright + above[..., None] * count + sides
+    bounds = np.stack([
+        above * number + np.arange(number), (above + 1) * number + np.arange(number), standing[..., 0], standing[..., 1]
+    ], axis=-1)[apart]
+    between.append(np.repeat(upright[apart], 4, axis=0))
+    edges.append(bounds.ravel())
+    pairs = np.sort(np.concatenate(between), axis=1)
+    # Level faces and upright ones between the same two cells never meet, since groups are nested.
+    low, span = pairs.min(), pairs.max() - pairs.min() + 1
+    face = (pairs[:, 0] - low) * span + pairs[:, 1] - low
+    edge = np.concatenate(edges)
+    # What is left of a face's edges is its rim.
+    rim, times = np.unique(np.stack([face, edge], axis=1), axis=0, return_counts=True)
+    face, edge = rim[times == 1].T
+    ends = np.empty((first_upright + (levels - 1) * count, 2), dtype=np.int64)
+    ends[:first_upright] = (np.arange(levels)[:, None, None] * count + sides).reshape(-1, 2)
+    ends[first_upright:, 0] = np.arange((levels - 1) * count)
+    ends[first_upright:, 1] = ends[first_upright:, 0] + count
+    chain, chain_ends = _chains(ends, np.unique(edge))
+    face, chain = np.unique(np.stack([face, chain[edge]], axis=1), axis=0).T
+    names, face = np.unique(face, return_inverse=True)
+    neighbours = np.stack(np.divmod(names, span), axis=1) + low
+    nodes, corners = np.unique(chain_ends[chain], return_inverse=True)
+    corners = corners.reshape(-1, 2)
+    points = np.column_stack([plane[nodes % count], layers_mm[nodes // count]])
+    # The centres of rims, of what they bound, and of the surfaces of cells.
+    a, b = points[corners[:, 0]], points[corners[:, 1]]
+    middle = _means((a + b) / 2, np.linalg.norm(b - a, axis=1), face, len(names))
+    area = np.linalg.norm(np.cross(b - a, middle[face] - a), axis=1) / 2
+    centre = _means((a + b + middle[face]) / 3, area, face, len(names))
+    area = np.bincount(face, area)
+    bodies = neighbours >= 0
+    middle_of_body = _means(
+        np.concatenate([centre[own] for own in bodies.T]),
+        np.concatenate([area[own] for own in bodies.T]),
+        np.concatenate([neighbours[own, k] for k, own in enumerate(bodies.T)]),
+        owner.max() + 1,
+    )
+    tetrahedra = []
+    for k in (0, 1):
+        own = bodies[face, k]
+        at_face, body = face[own], neighbours[face[own], k]
+        tetrahedra.append(np.column_stack([corners[own], len(points) + at_face, len(points) + len(centre) + body]))
+    return _outwards(
+        np.concatenate([points, centre, middle_of_body]), np.concatenate(tetrahedra).astype(np.int32)
+    )
 
 
-def _around(block: Block, is_corner: NDArray[np.bool_]) -> list[Node]:
-    """Return the corners on a block's sides, its own and those of smaller neighbours, counterclockwise."""
-    i, j, k, m = block
-    own = [(i, j), (k, j), (k, m), (i, m)]
-    return [
-        node
-        for start, end in zip(own, [*own[1:], own[0]], strict=True)
-        for node in _between(start, end, is_corner)[:-1]
-    ]
+def _joined_layers(
+    plane: Floats, edges: tuple[Ints, Ints, Ints, Ints], depth_mm: Floats, groups: Ints
+) -> Ints:
+    """Return which cell each part of it is in, (layers, cells), once layers are joined where groups are wide."""
+    start, end, cell, side = edges
+    a, b = plane[start], plane[end]
+    area = np.bincount(cell, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    length = np.linalg.norm(b - a, axis=1)
+    owner, count, height = np.empty_like(groups), 0, np.zeros(0)
+    for layer, group in enumerate(groups):
+        _, group = np.unique(group, return_inverse=True)
+        number = group.max() + 1
+        both = np.full((side.max() + 1, 2), -1)
+        np.maximum.at(both[:, 0], side, group[cell])
+        both[:, 1] = number
+        np.minimum.at(both[:, 1], side, group[cell])
+        rim = (both[side, 0] != both[side, 1]) | (np.bincount(side)[side] == 1)
+        half_width_mm = np.bincount(group, area) / np.bincount(group[cell[rim]], length[rim]) * 2
+        thick = depth_mm[layer + 1] - depth_mm[layer]
+        new, own = count + np.arange(number), np.full(number, thick)
+        if layer:
+            last = owner[layer - 1]
+            above = np.zeros(number, dtype=np.int64)
+            above[group] = last
+            same = (np.bincount(group, last != above[group]) == 0) & (
+                np.bincount(group, minlength=number) == np.bincount(last, minlength=count)[above]
+            )
+            # Rounded, so that mirrored cells are joined alike.
+            joins = same & (height[above] + thick <= (_HIGHEST_SHARE * half_width_mm).round(9) + 1e-9)
+            new = np.where(joins, above, count + np.cumsum(~joins) - 1)
+            own = np.where(joins, height[above] + thick, thick)
+        owner[layer] = new[group]
+        count = max(count, int(new.max()) + 1)
+        height = np.concatenate([height, np.zeros(count - len(height))])
+        height[new] = own
+    return owner
 
 
-def _between(start: Node, end: Node, is_corner: NDArray[np.bool_]) -> list[Node]:
-    """Return the corners on a line from start to end, with both."""
-    (i, j), (k, m) = start, end
-    steps = max(abs(k - i), abs(m - j))
-    nodes = [(i + (k - i) // steps * n, j + (m - j) // steps * n) for n in range(steps + 1)]
-    return [node for node in nodes if is_corner[node]]
+def _lines_at_rim(sides: Floats, inner: NDArray[np.bool_]) -> Ints:
+    """Return for each side (n, 2, 2) which straight line along x or y it lies on, 0 for none."""
+    line = np.zeros(len(sides), dtype=np.int64)
+    for axis in (0, 1):
+        along = ~inner & (np.abs(np.diff(sides[:, :, axis], axis=1)[:, 0]) < 1e-9)
+        _, found = np.unique(sides[along, 0, axis].round(6), return_inverse=True)
+        line[along] = line.max() + 1 + found
+    return line
+
+
+def _chains(ends: Ints, edges: Ints) -> tuple[Ints, Ints]:
+    """Join `edges` that alone meet at a node; return of each the number of its chain, and the ends of chains (c, 2).
+
+    `ends` (n, 2) are the nodes of all edges.
+    """
+    used = ends[edges]
+    times = np.bincount(used.ravel())
+    chain = np.full(len(ends), -1)
+    whole = (times[used] != 2).all(axis=1)
+    chain[edges[whole]] = np.arange(whole.sum())
+    chain_ends = used[whole].tolist()
+    at_node: dict[int, list[int]] = {}
+    for edge in edges[~whole].tolist():
+        for node in ends[edge].tolist():
+            at_node.setdefault(node, []).append(edge)
+    for edge in edges[~whole].tolist():
+        if chain[edge] >= 0:
+            continue
+        chain[edge], way = len(chain_ends), []
+        for node in ends[edge].tolist():
+            last = edge
+            while times[node] == 2:
+                last = next(other for other in at_node[node] if other != last)
+                if chain[last] >= 0:
+                    break
+                chain[last] = len(chain_ends)
+                node = int(ends[last].sum()) - node
+            way.append(node)
+        chain_ends.append(way)
+    return chain, np.array(chain_ends)
+
+
+def _means(points: Floats, weights: Floats, group: Ints, count: int) -> Floats:
+    """Return the weighted mean (count, 3) of the points (n, 3) of each group; what they have in common to the last bit."""
+    of_one = np.empty((count, 3))
+    of_one[group] = points
+    from_it, total = points - of_one[group], np.bincount(group, weights, minlength=count)
+    return of_one + np.stack([np.bincount(group, weights * own, count) / total for own in from_it.T], axis=1)
 
 
 def _outwards(vertices: Floats, tetrahedra: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
