@@ -21,6 +21,8 @@ Block = tuple[int, int, int, int]
 
 # Layers are joined in cells that are no higher then than this share of their half width.
 _HIGHEST_SHARE = 1.0
+# Where the directions to its neighbours add up to less, a corner of a face lies on a straight line between them.
+_STRAIGHT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -119,9 +121,15 @@ def split_cells(
         edges.append(bounds.ravel())
     apart = upright[..., 0] != upright[..., 1]
     standing = first_upright + above[..., None] * count + sides
-    bounds = np.stack([
-        above * number + np.arange(number), (above + 1) * number + np.arange(number), standing[..., 0], standing[..., 1]
-    ], axis=-1)[apart]
+    bounds = np.stack(
+        [
+            above * number + np.arange(number),
+            (above + 1) * number + np.arange(number),
+            standing[..., 0],
+            standing[..., 1],
+        ],
+        axis=-1,
+    )[apart]
     between.append(np.repeat(upright[apart], 4, axis=0))
     edges.append(bounds.ravel())
     pairs = np.sort(np.concatenate(between), axis=1)
@@ -143,27 +151,25 @@ def split_cells(
     nodes, corners = np.unique(chain_ends[chain], return_inverse=True)
     corners = corners.reshape(-1, 2)
     points = np.column_stack([plane[nodes % count], layers_mm[nodes // count]])
-    # The centres of rims, of what they bound, and of the surfaces of cells.
-    a, b = points[corners[:, 0]], points[corners[:, 1]]
-    middle = _means((a + b) / 2, np.linalg.norm(b - a, axis=1), face, len(names))
-    area = np.linalg.norm(np.cross(b - a, middle[face] - a), axis=1) / 2
-    centre = _means((a + b + middle[face]) / 3, area, face, len(names))
-    area = np.bincount(face, area)
-    bodies = neighbours >= 0
-    middle_of_body = _means(
-        np.concatenate([centre[own] for own in bodies.T]),
-        np.concatenate([area[own] for own in bodies.T]),
-        np.concatenate([neighbours[own, k] for k, own in enumerate(bodies.T)]),
-        owner.max() + 1,
+    centre = _centres(points, corners, face)
+    inside = neighbours >= 0
+    at_face, body = np.concatenate(
+        [np.stack([np.flatnonzero(own), neighbours[own, k]]) for k, own in enumerate(inside.T)], axis=1
     )
+    # Below a cell lies one alone.
+    order = np.lexsort([centre[at_face, 2], body])
+    lowest, highest = (np.searchsorted(body[order], np.arange(owner.max() + 1) + up) - up for up in (0, 1))
+    middle = centre[at_face[order[lowest]]]
+    middle[:, 2] = (middle[:, 2] + centre[at_face[order[highest]], 2]) / 2
     tetrahedra = []
     for k in (0, 1):
-        own = bodies[face, k]
-        at_face, body = face[own], neighbours[face[own], k]
-        tetrahedra.append(np.column_stack([corners[own], len(points) + at_face, len(points) + len(centre) + body]))
-    return _outwards(
-        np.concatenate([points, centre, middle_of_body]), np.concatenate(tetrahedra).astype(np.int32)
-    )
+        own = inside[face, k]
+        tetrahedra.append(
+            np.column_stack(
+                [corners[own], len(points) + face[own], len(points) + len(centre) + neighbours[face[own], k]]
+            )
+        )
+    return _outwards(np.concatenate([points, centre, middle]), np.concatenate(tetrahedra).astype(np.int32))
 
 
 def _joined_layers(
@@ -246,12 +252,18 @@ def _chains(ends: Ints, edges: Ints) -> tuple[Ints, Ints]:
     return chain, np.array(chain_ends)
 
 
-def _means(points: Floats, weights: Floats, group: Ints, count: int) -> Floats:
-    """Return the weighted mean (count, 3) of the points (n, 3) of each group; what they have in common to the last bit."""
-    of_one = np.empty((count, 3))
-    of_one[group] = points
-    from_it, total = points - of_one[group], np.bincount(group, weights, minlength=count)
-    return of_one + np.stack([np.bincount(group, weights * own, count) / total for own in from_it.T], axis=1)
+def _centres(points: Floats, edges: Ints, face: Ints) -> Floats:
+    """Return the mean (n, 3) of the points where the rim of each face turns, by its `edges` (e, 2) and their `face`."""
+    along = points[edges[:, 1]] - points[edges[:, 0]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    place, at = np.unique((face[:, None] * len(points) + edges).T.ravel(), return_inverse=True)
+    turn = np.stack([np.bincount(at, np.concatenate([own, -own])) for own in along.T], axis=1)
+    face, corner = np.divmod(place[np.linalg.norm(turn, axis=1) > _STRAIGHT], len(points))
+    first = points[corner[np.unique(face, return_index=True)[1]]]
+    # From one of them, so that what they have in common their mean has to the last bit.
+    from_first = points[corner] - first[face]
+    total = np.stack([np.bincount(face, own) for own in from_first.T], axis=1)
+    return first + total / np.bincount(face)[:, None]
 
 
 def _outwards(vertices: Floats, tetrahedra: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:

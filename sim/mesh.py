@@ -209,7 +209,9 @@ def _groups(grid: DiscGrid, plane: Points, cells: Cells, depth_mm: float) -> Int
     Along the line that the axis is drawn out to, columns become one by twos.
     """
     low, high = grid.axis_mm
-    turned = plane @ np.array([[grid.direction[0], -grid.direction[1]], [grid.direction[1], grid.direction[0]]])
+    turned = plane @ np.array(
+        [[grid.direction[0], -grid.direction[1]], [grid.direction[1], grid.direction[0]]]
+    )
     from_axis_mm = np.hypot(turned[:, 0] - np.clip(turned[:, 0], low, high), turned[:, 1])
     radius_mm = _JOINED_RADIUS * depth_mm
     within = np.array([from_axis_mm[cell].max() for cell in cells]) <= radius_mm
