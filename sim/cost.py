@@ -3,6 +3,7 @@
 The numbers are those of one core of a server of 2023, fitted by `python -m gelgap.benchmarks.physics.cost`.
 """
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -26,6 +27,10 @@ PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.0, 6.0, 9.0
 _GFLOP, _COUNTED_THOUSANDS = 0.045, 8.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
+# A pose on whose way a solve has taken so many core seconds ends unconverged where it is, unless that is less than this
+# many times the forecast: 20 s at `draft` lead the slowest of 39 random scenes as far as 60 to 90 s did.
+LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
+_LONGEST_FORECASTS = 1.5
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
@@ -38,10 +43,14 @@ class Work(NamedTuple):
     iterations: float
 
     @property
+    def iteration_s(self) -> float:
+        """About how many seconds of a core an iteration takes."""
+        return VERTICES_S * self.thousands + GFLOP_S * self.gflop
+
+    @property
     def core_s(self) -> float:
-        """About how many seconds of a core it takes."""
-        iteration_s = VERTICES_S * self.thousands + GFLOP_S * self.gflop
-        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * iteration_s
+        """About how many seconds of a core all of it takes."""
+        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * self.iteration_s
 
 
 def expected_core_s(problem: ContactProblem) -> float:
@@ -71,6 +80,14 @@ def expected_iterations(problem: ContactProblem) -> float:
             features = abs(change[2]) / steps / problem.indenter.feature_size_mm
             iterations += PRESS_ITERATIONS * steps * max(1.0, features)
     return float(iterations)
+
+
+def most_iterations(problem: ContactProblem) -> int:
+    """Return after how many iterations on its way a pose of a problem is given up."""
+    work = expected_work(problem)
+    return math.ceil(
+        max(LONGEST_S[problem.quality.name], _LONGEST_FORECASTS * work.core_s) / work.iteration_s
+    )
 
 
 def _counted_gflop(problem: ContactProblem) -> float:

@@ -6,7 +6,6 @@ layers of prisms, which are split into tetrahedra that do not lock.
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -197,7 +196,7 @@ def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[fl
 
 
 def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
-    """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down, fewer and wider below the core."""
+    """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down, joined around the axis."""
     plane, cells = pad_cells(grid, pad_mm, symmetric=symmetric)
     groups = np.stack([_groups(grid, plane, cells, -top_mm) for top_mm in layers_mm[:-1]])
     return GelMesh(*split_cells(plane, cells, layers_mm, groups), symmetric)

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
+from gelgap.sim.cost import most_iterations
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
@@ -110,6 +111,7 @@ class StaticNewton:
         self.slip_mm = np.zeros(gel.model.ngeom)
         self.snapped = False
         self.iterations = 0
+        self._most_iterations = most_iterations(problem)
         self.left_to_mujoco = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
         self._condensed = condensed
@@ -118,28 +120,36 @@ class StaticNewton:
         self._accepted = self._factorised = False
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
-        """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state."""
+        """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
+
+        A way that takes more than `most_iterations` ends in the last equilibrium on it, which all its other waypoints
+        have as their state, unconverged.
+        """
         problem, mesh = self.problem, self.gel.mesh
         done, total = 0, problem.load_steps
         progress(done, total)
-        states = {-1: self.state()}
-        records = []
+        states, left = {-1: self.state()}, {-1: most_iterations(problem)}
+        records: list[Record] = []
         for index, (command, parent) in enumerate(zip(problem.commands, problem.parents, strict=True)):
             if parent != index - 1:
                 self.return_to(states[parent])
-            self.iterations = 0
+            self.iterations, self._most_iterations = 0, left[parent]
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
+            converged = False
             for number, share in enumerate(shares, start=1):
                 held = self.active.any()
                 converged = self._advance(start + change * share, passes=share < 1)
+                if not converged and self.iterations >= self._most_iterations:
+                    break
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
                 if held and not converged and not self.active.any():
                     break  # From a state that has lost the gel no step leads back.
+            left[index] = max(0, left[parent] - self.iterations)
             records.append(self._polished_record(converged))
             done += steps
             if index in problem.parents[index + 2 :]:
@@ -152,7 +162,12 @@ class StaticNewton:
         The indenter `passes` the command, or it is a waypoint.
         """
         start, middle = self.state(), 0.5 * (self.command + command)
-        converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP, passes=passes)
+        most = min(_ITERATIONS_PER_STEP, self._most_iterations - self.iterations)
+        converged, ran_away = self.load_step(command, most, passes=passes)
+        if not converged and self.iterations >= self._most_iterations:
+            self.return_to(start)
+            self.iterate()
+            return False
         # What runs away in halves as well is not a matter of their length.
         ran_away &= halvings == _MOST_HALVINGS
         if (converged and not ran_away) or halvings == 0:
@@ -356,6 +371,8 @@ class StaticNewton:
         self.data.qpos[:] = state.qpos
         self.command, self.active = state.command, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped
+        if not self._rigid:
+            self.gel.model.qpos_spring[self.gel.indenter_qpos] = self.command[:3]
         self._turn(np.eye(3))
 
     @property

@@ -67,6 +67,8 @@ def main() -> None:
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--number", type=int, default=60, help="scenes that are drawn")
     chosen = parser.parse_args()
+    if chosen.number < 1:
+        parser.error(f"--number {chosen.number}: must be 1 or more")
     rows = []
     for number in range(CORNERS, CORNERS + chosen.number):
         for problem in solved_problems(drawn_case(number, chosen.quality).solve.problem):
