@@ -21,7 +21,7 @@ from gelgap.sim.steady import solve_steadily
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)
 # A load step that takes longer, loses the gel, or in which vertices run away, is undone and repeated in two halves, and
-# these in halves if they fail as well.
+# these in halves if they fail as well; if a quarter fails, the way ends.
 _ITERATIONS_PER_STEP = 60
 _MOST_HALVINGS = 2
 # Vertices that carry force in equilibrium lie on the indenter to this distance.
@@ -122,8 +122,8 @@ class StaticNewton:
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
         """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
 
-        A way that takes more than `most_iterations` ends in the last equilibrium on it, which all its other waypoints
-        have as their state, unconverged.
+        A way ends where a load step fails, an element is inverted or all of `most_iterations` are spent: the waypoints
+        from there on have the last equilibrium as their state, unconverged.
         """
         problem, mesh = self.problem, self.gel.mesh
         done, total = 0, problem.load_steps
@@ -139,42 +139,37 @@ class StaticNewton:
             shares = np.arange(1, steps + 1) / steps
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
-            converged = False
             for number, share in enumerate(shares, start=1):
-                held = self.active.any()
                 converged = self._advance(start + change * share, passes=share < 1)
-                if not converged and self.iterations >= self._most_iterations:
+                if not converged:
                     break
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
-                if held and not converged and not self.active.any():
-                    break  # From a state that has lost the gel no step leads back.
-            left[index] = max(0, left[parent] - self.iterations)
             records.append(self._polished_record(converged))
+            whole = converged and records[-1].diagnostics.min_volume_ratio > 0
+            left[index] = max(0, left[parent] - self.iterations) if whole else 0
             done += steps
             if index in problem.parents[index + 2 :]:
                 states[index] = self.state()
         return Solution(problem, (mesh.vertices_mm[mesh.surface, :2],), tuple(records))
 
     def _advance(self, command: Floats, *, passes: bool, halvings: int = _MOST_HALVINGS) -> bool:
-        """Take a load step, in halves if need be, and return whether it converged.
+        """Take a load step, in halves if need be, and return whether it converged; if not, it ends at what did.
 
         The indenter `passes` the command, or it is a waypoint.
         """
         start, middle = self.state(), 0.5 * (self.command + command)
         most = min(_ITERATIONS_PER_STEP, self._most_iterations - self.iterations)
         converged, ran_away = self.load_step(command, most, passes=passes)
-        if not converged and self.iterations >= self._most_iterations:
-            self.return_to(start)
-            self.iterate()
-            return False
         # What runs away in halves as well is not a matter of their length.
-        ran_away &= halvings == _MOST_HALVINGS
-        if (converged and not ran_away) or halvings == 0:
-            return converged
+        if converged and not (ran_away and halvings == _MOST_HALVINGS):
+            return True
         self.return_to(start)
-        self._advance(middle, passes=True, halvings=halvings - 1)
-        return self._advance(command, passes=passes, halvings=halvings - 1)
+        if halvings and self.iterations < self._most_iterations:
+            there = self._advance(middle, passes=True, halvings=halvings - 1)
+            return there and self._advance(command, passes=passes, halvings=halvings - 1)
+        self.iterate()  # The forces of this state, to be recorded.
+        return False
 
     def load_step(self, command: Floats, most_iterations: int, *, passes: bool = False) -> tuple[bool, bool]:
         """Move the drive to a command (6,) and iterate to equilibrium, or until the iterations are spent.
