@@ -6,6 +6,7 @@ wide. A touch of a thick pad (scene 34 of `benchmark stability`) has 9,400 inste
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,134 +90,119 @@ def split_cells(
 
     In each layer the cells of one of its `groups` (layers, cells) are one, and groups consist of whole ones of the
     layer above. A cell gets a vertex in its centre and one in the centre of each face that it shares with one other,
-    and four or more tetrahedra at each: 24 if it is a hexahedron among equals.
+    and a tetrahedron at each edge of each face: 24 if it is a hexahedron among equals.
     """
-    start = np.concatenate(cells)
-    end = np.concatenate([np.roll(cell, -1) for cell in cells])
-    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
-    sides, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
-    side = side.ravel()
-    owner = _joined_layers(plane, (start, end, cell, side), -layers_mm, groups)
-    levels, count, number = len(layers_mm), len(plane), len(sides)
-    # Of each side the cells on both sides; of one at the rim its straight line instead of the second.
-    order = np.argsort(side, kind="stable")
-    first = np.searchsorted(side[order], np.arange(number))
-    inner = np.bincount(side) == 2
-    one = cell[order[first]]
-    other = np.where(inner, cell[order[np.minimum(first + 1, len(order) - 1)]], -1)
-    beyond = -3 - _lines_at_rim(plane[sides], inner)
-    # Small faces, between what they lie, and what they are bounded by: edges along sides, then upright ones.
-    outside = np.full((1, len(cells)), -1)
-    level_faces = np.stack([np.vstack([outside, owner]), np.vstack([owner, outside - 1])], axis=-1)
-    upright = np.stack([owner[:, one], np.where(inner, owner[:, other], beyond)], axis=-1)
-    flat, above = np.arange(levels)[:, None], np.arange(levels - 1)[:, None]
-    first_upright = levels * number
-    of_cell = np.split(side, np.cumsum([len(corners) for corners in cells])[:-1])
-    between, edges = [], []
-    for own, corners in zip(level_faces.transpose(1, 0, 2), of_cell, strict=True):
-        apart = own[:, 0] != own[:, 1]
-        bounds = (flat * number + corners)[apart]
-        between.append(np.repeat(own[apart], len(corners), axis=0))
-        edges.append(bounds.ravel())
-    apart = upright[..., 0] != upright[..., 1]
-    standing = first_upright + above[..., None] * count + sides
-    bounds = np.stack(
-        [
-            above * number + np.arange(number),
-            (above + 1) * number + np.arange(number),
-            standing[..., 0],
-            standing[..., 1],
-        ],
-        axis=-1,
-    )[apart]
-    between.append(np.repeat(upright[apart], 4, axis=0))
-    edges.append(bounds.ravel())
-    pairs = np.sort(np.concatenate(between), axis=1)
-    # Level faces and upright ones between the same two cells never meet, since groups are nested.
-    low, span = pairs.min(), pairs.max() - pairs.min() + 1
-    face = (pairs[:, 0] - low) * span + pairs[:, 1] - low
-    edge = np.concatenate(edges)
+    sides, count = _sides(plane, cells), len(plane)
+    owner = _joined_layers(plane, sides, -layers_mm, groups)
+    pair, edge, ends = _small_faces(sides, owner, count)
+    names, face = np.unique(np.sort(pair, axis=1), axis=0, return_inverse=True)
     # What is left of a face's edges is its rim.
-    rim, times = np.unique(np.stack([face, edge], axis=1), axis=0, return_counts=True)
+    rim, times = np.unique(np.stack([face.ravel(), edge], axis=1), axis=0, return_counts=True)
     face, edge = rim[times == 1].T
-    ends = np.empty((first_upright + (levels - 1) * count, 2), dtype=np.int64)
-    ends[:first_upright] = (np.arange(levels)[:, None, None] * count + sides).reshape(-1, 2)
-    ends[first_upright:, 0] = np.arange((levels - 1) * count)
-    ends[first_upright:, 1] = ends[first_upright:, 0] + count
     chain, chain_ends = _chains(ends, np.unique(edge))
     face, chain = np.unique(np.stack([face, chain[edge]], axis=1), axis=0).T
-    names, face = np.unique(face, return_inverse=True)
-    neighbours = np.stack(np.divmod(names, span), axis=1) + low
     nodes, corners = np.unique(chain_ends[chain], return_inverse=True)
     corners = corners.reshape(-1, 2)
     points = np.column_stack([plane[nodes % count], layers_mm[nodes // count]])
-    centre = _centres(points, corners, face)
-    inside = neighbours >= 0
-    at_face, body = np.concatenate(
-        [np.stack([np.flatnonzero(own), neighbours[own, k]]) for k, own in enumerate(inside.T)], axis=1
+    centres = _centres(points, corners, face)
+    first_body = len(points) + len(centres)
+    on_face = np.column_stack([corners, len(points) + face])
+    tetrahedra = np.concatenate(
+        [np.column_stack([on_face, first_body + own[face]])[own[face] >= 0] for own in names.T]
     )
-    # Below a cell lies one alone.
-    order = np.lexsort([centre[at_face, 2], body])
-    lowest, highest = (np.searchsorted(body[order], np.arange(owner.max() + 1) + up) - up for up in (0, 1))
-    middle = centre[at_face[order[lowest]]]
-    middle[:, 2] = (middle[:, 2] + centre[at_face[order[highest]], 2]) / 2
-    tetrahedra = []
-    for k in (0, 1):
-        own = inside[face, k]
-        tetrahedra.append(
-            np.column_stack(
-                [corners[own], len(points) + face[own], len(points) + len(centre) + neighbours[face[own], k]]
-            )
-        )
-    return _outwards(np.concatenate([points, centre, middle]), np.concatenate(tetrahedra).astype(np.int32))
+    vertices = np.concatenate([points, centres, _middles(centres, names)])
+    return _outwards(vertices, tetrahedra.astype(np.int32))
 
 
-def _joined_layers(
-    plane: Floats, edges: tuple[Ints, Ints, Ints, Ints], depth_mm: Floats, groups: Ints
-) -> Ints:
+class _Sides(NamedTuple):
+    """Sides of plane cells: their `ends` (s, 2), and the cells (s, 2) that each is between.
+
+    At the rim a number below −2 stands for the second cell, the same along a straight line. `start`, `end`, `cell` and
+    `side` are of the sides cell by cell, counterclockwise.
+    """
+
+    ends: Ints
+    cells: Ints
+    start: Ints
+    end: Ints
+    cell: Ints
+    side: Ints
+
+
+def _sides(plane: Floats, cells: Cells) -> _Sides:
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
+    ends, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
+    side = side.ravel()
+    of_side = np.full((len(ends), 2), -3)
+    of_side[side[::-1], 0] = cell[::-1]
+    inner = of_side[side, 0] != cell
+    of_side[side[inner], 1] = cell[inner]
+    rim, line = plane[ends], of_side[:, 1]
+    for axis in (0, 1):
+        along = (line < 0) & (np.abs(np.diff(rim[:, :, axis], axis=1)[:, 0]) < _STRAIGHT)
+        _, found = np.unique(rim[along, 0, axis].round(6), return_inverse=True)
+        line[along] = line.min() - 1 - found
+    return _Sides(ends, of_side, start, end, cell, side)
+
+
+def _small_faces(sides: _Sides, owner: Ints, count: int) -> tuple[Ints, Ints, Ints]:
+    """Return what parts of faces, between different cells, are bounded by: pairs of cells (n, 2) and an edge (n,) each.
+
+    −1 is above the membrane, −2 below the backing. Also the ends (e, 2) of all edges, along sides and upright; a node
+    is numbered by level and then by its place among `count` of the plane.
+    """
+    levels, number = len(owner) + 1, len(sides.ends)
+    outside = np.full((1, owner.shape[1]), -1)
+    level = np.stack([np.vstack([outside, owner]), np.vstack([owner, outside - 1])], axis=-1)[:, sides.cell]
+    second = sides.cells[:, 1]
+    upright = np.stack(
+        [owner[:, sides.cells[:, 0]], np.where(second >= 0, owner[:, second], second)], axis=-1
+    )
+    along = number * np.arange(levels)[:, None] + np.arange(number)
+    standing = levels * number + count * np.arange(levels - 1)[:, None, None] + sides.ends
+    pairs = np.concatenate([level.reshape(-1, 2), np.tile(upright.reshape(-1, 2), (4, 1))])
+    edges = [along[:, sides.side], along[:-1], along[1:], standing[..., 0], standing[..., 1]]
+    apart = pairs[:, 0] != pairs[:, 1]
+    node = count * np.arange(levels)[:, None] + np.arange(count)
+    ends = (
+        np.stack([node[:, sides.ends[:, k]].ravel() for k in (0, 1)], axis=1),
+        np.stack([node[:-1].ravel(), node[1:].ravel()], axis=1),
+    )
+    return pairs[apart], np.concatenate([own.ravel() for own in edges])[apart], np.concatenate(ends)
+
+
+def _joined_layers(plane: Floats, sides: _Sides, depth_mm: Floats, groups: Ints) -> Ints:
     """Return which cell each part of it is in, (layers, cells), once layers are joined where groups are wide."""
-    start, end, cell, side = edges
-    a, b = plane[start], plane[end]
-    area = np.bincount(cell, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-    length = np.linalg.norm(b - a, axis=1)
-    owner, count, height = np.empty_like(groups), 0, np.zeros(0)
+    a, b = plane[sides.start], plane[sides.end]
+    area = np.bincount(sides.cell, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    length = np.linalg.norm(np.diff(plane[sides.ends], axis=1)[:, 0], axis=1)
+    one, other = sides.cells.T
+    owner, height = np.empty_like(groups), np.zeros(0)
     for layer, group in enumerate(groups):
         _, group = np.unique(group, return_inverse=True)
-        number = group.max() + 1
-        both = np.full((side.max() + 1, 2), -1)
-        np.maximum.at(both[:, 0], side, group[cell])
-        both[:, 1] = number
-        np.minimum.at(both[:, 1], side, group[cell])
-        rim = (both[side, 0] != both[side, 1]) | (np.bincount(side)[side] == 1)
-        half_width_mm = np.bincount(group, area) / np.bincount(group[cell[rim]], length[rim]) * 2
-        thick = depth_mm[layer + 1] - depth_mm[layer]
-        new, own = count + np.arange(number), np.full(number, thick)
+        number, count = group.max() + 1, len(height)
+        rim = (other < 0) | (group[one] != group[other])
+        around = np.bincount(group[one[rim]], length[rim], number)
+        rim &= other >= 0
+        around += np.bincount(group[other[rim]], length[rim], number)
+        # Rounded, so that mirrored cells are joined alike.
+        highest_mm = (_HIGHEST_SHARE * 2 * np.bincount(group, area) / around).round(9) + 1e-9
+        high = np.full(number, depth_mm[layer + 1] - depth_mm[layer])
+        new = count + np.arange(number)
         if layer:
-            last = owner[layer - 1]
-            above = np.zeros(number, dtype=np.int64)
+            last, above = owner[layer - 1], np.empty(number, dtype=np.int64)
             above[group] = last
-            same = (np.bincount(group, last != above[group]) == 0) & (
-                np.bincount(group, minlength=number) == np.bincount(last, minlength=count)[above]
-            )
-            # Rounded, so that mirrored cells are joined alike.
-            joins = same & (height[above] + thick <= (_HIGHEST_SHARE * half_width_mm).round(9) + 1e-9)
+            parts = np.bincount(group, minlength=number)
+            same = (np.bincount(group, last != above[group]) == 0) & (parts == np.bincount(last)[above])
+            joins = same & (height[above] + high <= highest_mm)
             new = np.where(joins, above, count + np.cumsum(~joins) - 1)
-            own = np.where(joins, height[above] + thick, thick)
+            high += np.where(joins, height[above], 0.0)
         owner[layer] = new[group]
-        count = max(count, int(new.max()) + 1)
-        height = np.concatenate([height, np.zeros(count - len(height))])
-        height[new] = own
+        height = np.concatenate([height, np.empty(max(0, new.max() + 1 - count))])
+        height[new] = high
     return owner
-
-
-def _lines_at_rim(sides: Floats, inner: NDArray[np.bool_]) -> Ints:
-    """Return for each side (n, 2, 2) which straight line along x or y it lies on, 0 for none."""
-    line = np.zeros(len(sides), dtype=np.int64)
-    for axis in (0, 1):
-        along = ~inner & (np.abs(np.diff(sides[:, :, axis], axis=1)[:, 0]) < 1e-9)
-        _, found = np.unique(sides[along, 0, axis].round(6), return_inverse=True)
-        line[along] = line.max() + 1 + found
-    return line
 
 
 def _chains(ends: Ints, edges: Ints) -> tuple[Ints, Ints]:
@@ -263,6 +249,21 @@ def _centres(points: Floats, edges: Ints, face: Ints) -> Floats:
     from_first = points[corner] - first[face]
     total = np.stack([np.bincount(face, own) for own in from_first.T], axis=1)
     return first + total / np.bincount(face)[:, None]
+
+
+def _middles(centres: Floats, pairs: Ints) -> Floats:
+    """Return the middles (n, 3) of cells, by the centres (f, 3) of faces and the cells (f, 2) that each is between.
+
+    Below a cell lies one alone: its middle is over the centre of that face, at half of its height.
+    """
+    face, side = np.nonzero(pairs >= 0)
+    cell = pairs[face, side]
+    order = np.lexsort([centres[face, 2], cell])
+    first = np.searchsorted(cell[order], np.arange(cell.max() + 1))
+    last = np.append(first[1:], len(order)) - 1
+    middle = centres[face[order[first]]]
+    middle[:, 2] = (middle[:, 2] + centres[face[order[last]], 2]) / 2
+    return middle
 
 
 def _outwards(vertices: Floats, tetrahedra: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
