@@ -24,13 +24,13 @@ VERTICES_S, GFLOP_S = 0.0110, 0.0183
 PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.0, 6.0, 9.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
-_GFLOP, _COUNTED_THOUSANDS = 0.045, 8.0
+_GFLOP, _COUNTED_THOUSANDS = 0.060, 5.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
-# A pose on whose way a solve has taken so many core seconds ends unconverged where it is, unless that is less than this
-# many times the forecast: 20 s at `draft` lead the slowest of 39 random scenes as far as 60 to 90 s did.
+# A way is given up once it has taken this many times its forecast, core seconds, but no fewer than these and no more
+# than `_MOST_OF_LONGEST` times these: three of 39 random scenes took 55 to over 90 s at `draft`, and ended flagged.
 LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
-_LONGEST_FORECASTS = 1.5
+_LONGEST_FORECASTS, _MOST_OF_LONGEST = 2.5, 3.0
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
@@ -83,11 +83,10 @@ def expected_iterations(problem: ContactProblem) -> float:
 
 
 def most_iterations(problem: ContactProblem) -> int:
-    """Return after how many iterations on its way a pose of a problem is given up."""
-    work = expected_work(problem)
-    return math.ceil(
-        max(LONGEST_S[problem.quality.name], _LONGEST_FORECASTS * work.core_s) / work.iteration_s
-    )
+    """Return after how many iterations a way through a problem's waypoints is given up."""
+    work, longest_s = expected_work(problem), LONGEST_S[problem.quality.name]
+    allowed_s = min(max(longest_s, _LONGEST_FORECASTS * work.core_s), _MOST_OF_LONGEST * longest_s)
+    return math.ceil(allowed_s / work.iteration_s)
 
 
 def _counted_gflop(problem: ContactProblem) -> float:

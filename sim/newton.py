@@ -112,6 +112,7 @@ class StaticNewton:
         self.snapped = False
         self.iterations = 0
         self._most_iterations = most_iterations(problem)
+        self._ran_away = False
         self.left_to_mujoco = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
         self._condensed = condensed
@@ -133,7 +134,7 @@ class StaticNewton:
         for index, (command, parent) in enumerate(zip(problem.commands, problem.parents, strict=True)):
             if parent != index - 1:
                 self.return_to(states[parent])
-            self.iterations, self._most_iterations = 0, left[parent]
+            self.iterations, self._most_iterations, self._ran_away = 0, left[parent], False
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
@@ -160,9 +161,10 @@ class StaticNewton:
         """
         start, middle = self.state(), 0.5 * (self.command + command)
         most = min(_ITERATIONS_PER_STEP, self._most_iterations - self.iterations)
-        converged, ran_away = self.load_step(command, most, passes=passes)
-        # What runs away in halves as well is not a matter of their length.
-        if converged and not (ran_away and halvings == _MOST_HALVINGS):
+        ran_away = self._ran_away
+        converged, self._ran_away = self.load_step(command, most, passes=passes)
+        # What runs away in halves as well is not a matter of their length, nor is it in the next step.
+        if converged and (ran_away or not self._ran_away or halvings < _MOST_HALVINGS):
             return True
         self.return_to(start)
         if halvings and self.iterations < self._most_iterations:
