@@ -21,6 +21,7 @@ BULKY = {"hull_mm", "above_mm", "heights"}
 DIAGNOSTICS = (
     "slip",
     "sticking_fraction",
+    "min_volume_ratio",
     "coarse",
     "folded",
     "force_error_n",
@@ -145,6 +146,8 @@ class Press(opt.Command):
         advice = finer.get(self.quality, "there is no finer one")
         x, y, z = report["indenter_mm"]
         came = f"the indenter came {-z:.3g} mm deep and {math.hypot(x, y):.3g} mm sideways"
+        if report["min_volume_ratio"] <= 0:
+            came += ", where an element of the mesh is inverted"
         rows = {
             "indenter": report["indenter"],
             "depth": f"{depth_mm:.4g} mm",

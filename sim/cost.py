@@ -24,7 +24,7 @@ VERTICES_S, GFLOP_S = 0.0110, 0.0183
 PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.0, 6.0, 9.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
-_GFLOP, _COUNTED_THOUSANDS = 0.060, 5.0
+_GFLOP, _COUNTED_THOUSANDS = 0.060, 8.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
 # A way is given up once it has taken this many times its forecast, core seconds, but no fewer than these and no more
