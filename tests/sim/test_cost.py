@@ -57,7 +57,7 @@ def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
 
 
 def test_work_costs_what_it_consists_of() -> None:
-    one, twice = Work(3.0, 0.4, 20.0), Work(3.0, 0.4, 40.0)
+    one, twice = Work(3.0, 0.1, 0.4, 20.0), Work(3.0, 0.1, 0.4, 40.0)
     assert one.core_s < twice.core_s < 2 * one.core_s
 
 
