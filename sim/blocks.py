@@ -19,8 +19,6 @@ Cells = Sequence[Ints]
 # Numbers of the lines between which a block lies: x first, y first, x last, y last.
 Block = tuple[int, int, int, int]
 
-# Layers are joined in cells that are no higher then than this share of their half width.
-_HIGHEST_SHARE = 1.0
 # Where the directions to its neighbours add up to less, a corner of a face lies on a straight line between them.
 _STRAIGHT = 1e-6
 
@@ -165,30 +163,25 @@ def _small_faces(sides: _Sides, owner: Ints, count: int) -> tuple[Ints, Ints, In
     pairs = np.concatenate([level.reshape(-1, 2), np.tile(upright.reshape(-1, 2), (4, 1))])
     edges = [along[:, sides.side], along[:-1], along[1:], standing[..., 0], standing[..., 1]]
     apart = pairs[:, 0] != pairs[:, 1]
-    node = count * np.arange(levels)[:, None] + np.arange(count)
-    ends = (
-        np.stack([node[:, sides.ends[:, k]].ravel() for k in (0, 1)], axis=1),
-        np.stack([node[:-1].ravel(), node[1:].ravel()], axis=1),
-    )
-    return pairs[apart], np.concatenate([own.ravel() for own in edges])[apart], np.concatenate(ends)
+    along_ends = (count * np.arange(levels)[:, None, None] + sides.ends).reshape(-1, 2)
+    ends = np.concatenate([along_ends, np.arange((levels - 1) * count)[:, None] + [0, count]])
+    return pairs[apart], np.concatenate([own.ravel() for own in edges])[apart], ends
 
 
 def _joined_layers(plane: Floats, sides: _Sides, depth_mm: Floats, groups: Ints) -> Ints:
-    """Return which cell each part of it is in, (layers, cells), once layers are joined where groups are wide."""
+    """Return which cell each part is in, (layers, cells), with layers joined up to half as high as a cell is wide."""
     a, b = plane[sides.start], plane[sides.end]
     area = np.bincount(sides.cell, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-    length = np.linalg.norm(np.diff(plane[sides.ends], axis=1)[:, 0], axis=1)
-    one, other = sides.cells.T
+    length = np.linalg.norm(b - a, axis=1)
+    across = sides.cells[sides.side].sum(axis=1) - sides.cell  # below 0 beyond the rim
     owner, height = np.empty_like(groups), np.zeros(0)
     for layer, group in enumerate(groups):
         _, group = np.unique(group, return_inverse=True)
         number, count = group.max() + 1, len(height)
-        rim = (other < 0) | (group[one] != group[other])
-        around = np.bincount(group[one[rim]], length[rim], number)
-        rim &= other >= 0
-        around += np.bincount(group[other[rim]], length[rim], number)
+        rim = (across < 0) | (group[np.maximum(across, 0)] != group[sides.cell])
+        around = np.bincount(group[sides.cell[rim]], length[rim], number)
         # Rounded, so that mirrored cells are joined alike.
-        highest_mm = (_HIGHEST_SHARE * 2 * np.bincount(group, area) / around).round(9) + 1e-9
+        highest_mm = (2 * np.bincount(group, area) / around).round(9) + 1e-9
         high = np.full(number, depth_mm[layer + 1] - depth_mm[layer])
         new = count + np.arange(number)
         if layer:
