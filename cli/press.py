@@ -1,6 +1,7 @@
 """`gelgap press`: press an indenter into an elastomer and print or save what the contact does."""
 
 import json
+import math
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ BULKY = {"hull_mm", "above_mm", "heights"}
 DIAGNOSTICS = (
     "slip",
     "sticking_fraction",
+    "min_volume_ratio",
     "coarse",
     "folded",
     "force_error_n",
@@ -121,6 +123,7 @@ class Press(opt.Command):
             "torque_n_mm": state.torque_n_mm.tolist(),
             "contact_radius_mm": float(state.contact_radius_mm),
             "converged": bool(state.converged),
+            "indenter_mm": state.contact_solve.indenter_mm.tolist(),
             **{name: getattr(found, name) for name in DIAGNOSTICS},
             "wall_s": time.perf_counter() - started,
         }
@@ -139,6 +142,12 @@ class Press(opt.Command):
         force = zip("xyz", report["force_n"], report["force_error_n"], strict=True)
         torque = "  ".join(f"T{axis} {t:+.4f}" for axis, t in zip("xyz", report["torque_n_mm"], strict=True))
         radius = f"{report['contact_radius_mm']:.3f} ± {report['contact_radius_error_mm']:.3f}"
+        finer = {"draft": "try --quality standard", "standard": "try --quality fine"}
+        advice = finer.get(self.quality, "there is no finer one")
+        x, y, z = report["indenter_mm"]
+        came = f"the indenter came {-z:.3g} mm deep and {math.hypot(x, y):.3g} mm sideways"
+        if report["min_volume_ratio"] <= 0:
+            came += ", where an element of the mesh is inverted"
         rows = {
             "indenter": report["indenter"],
             "depth": f"{depth_mm:.4g} mm",
@@ -147,13 +156,11 @@ class Press(opt.Command):
             "contact radius": f"{radius} mm",
             "membrane": f"± {1e3 * report['membrane_error_mm']:.1f} µm",
             "slip": f"{report['slip']}: {100 * report['sticking_fraction']:.0f} % of the load sticks",
-            "converged": "yes" if report["converged"] else "NO: do not trust these figures",
+            "converged": "yes" if report["converged"] else f"NO: {came}; {advice}, less depth or travel",
         }
         if report["folded"]:
             rows["folded"] = "the membrane lies on itself: no camera sees it; drag less, or press less deep"
         if report["coarse"]:
-            finer = {"draft": "try --quality standard", "standard": "try --quality fine"}
-            advice = finer.get(self.quality, "there is no finer one")
             rows["coarse"] = f"the force may be off by more than this quality promises; {advice}"
         rows["wall time"] = f"{report['wall_s']:.2f} s"
         return "\n".join(f"{what:<16}{value}" for what, value in rows.items())

@@ -1,21 +1,26 @@
-"""Tetrahedra between lines along x and y, in blocks that are finer near a contact and coarser beside and below it.
+"""Tetrahedra of a pad: cells of its plane, stacked in layers and joined to larger ones where the gel needs no finer.
 
-Cells between lines that cross the whole gel are as narrow far from the contact as under it. Blocks of several of them
-leave 0.25 to 0.7 of the vertices, and a drag of an ellipsoid takes half of the time.
+Under a contact cells are as small as it needs. Deeper several of them become one, and so do thin layers where cells are
+wide. A touch of a thick pad (scene 34 of `benchmark stability`) has 9,400 instead of 15,900 vertices so.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.indenter import Floats
 
+Ints = NDArray[np.int64]
+# Corners of each plane cell, counterclockwise.
+Cells = Sequence[Ints]
 # Numbers of the lines between which a block lies: x first, y first, x last, y last.
 Block = tuple[int, int, int, int]
-Node = tuple[int, int]
+
+# Where the directions to its neighbours add up to less, a corner of a face lies on a straight line between them.
+_STRAIGHT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -64,85 +69,194 @@ def blocks_between(lines: Sequence[Floats], coarsening: Coarsening, depth_mm: fl
 def split_blocks(
     lines: Sequence[Floats], layers_mm: Floats, coarsening: Coarsening
 ) -> tuple[Floats, NDArray[np.int32]]:
-    """Stack layers of blocks, `layers_mm` their z from 0 down; return vertices (n, 3) and tetrahedra (m, 4).
-
-    A block gets a vertex in its centre and one in the centre of each face, which are joined to the edges of the face.
-    Where smaller blocks lie above a block, their lower faces are its upper ones.
-    """
+    """Stack layers of blocks between lines, and split them as `split_cells` does."""
     x, y = lines
-    vertices: list[tuple[float, float, float]] = []
-    number: dict[Hashable, int] = {}
-    tetrahedra: list[tuple[int, int, int, int]] = []
-
-    def vertex(key: Hashable, at_x: float, at_y: float, at_z: float) -> int:
-        if key not in number:
-            number[key] = len(vertices)
-            vertices.append((at_x, at_y, at_z))
-        return number[key]
-
-    def corner(level: int, node: Node) -> int:
-        return vertex((level, *node), x[node[0]], y[node[1]], layers_mm[level])
-
-    above = blocks_between(lines, coarsening, 0.0)
-    above_corners = _corners(lines, above)
-    for layer, (top_mm, bottom_mm) in enumerate(pairwise(layers_mm)):
-        blocks = blocks_between(lines, coarsening, -top_mm)
-        is_corner = _corners(lines, blocks)
-        owner = np.empty(is_corner.shape, dtype=np.int64)
-        for index, (i, j, k, m) in enumerate(blocks):
-            owner[i:k, j:m] = index
-        upper: list[list[Block]] = [[] for _ in blocks]
-        for block in above:
-            upper[owner[block[0], block[1]]].append(block)
-        for block, on_top in zip(blocks, upper, strict=True):
-            i, j, k, m = block
-            at_x, at_y, at_z = (x[i] + x[k]) / 2, (y[j] + y[m]) / 2, (top_mm + bottom_mm) / 2
-            body = vertex((layer, block), at_x, at_y, at_z)
-            around = _around(block, is_corner)
-            faces = [((layer + 1, block, "level"), (at_x, at_y, bottom_mm), layer + 1, around, [])]
-            for own in on_top:
-                a, b, c, d = own
-                place = (x[a] + x[c]) / 2, (y[b] + y[d]) / 2, top_mm
-                faces.append(((layer, own, "level"), place, layer, _around(own, above_corners), []))
-            for start, end in zip(around, [*around[1:], around[0]], strict=True):
-                place = (x[start[0]] + x[end[0]]) / 2, (y[start[1]] + y[end[1]]) / 2, at_z
-                key = (layer, *sorted((start, end)))
-                faces.append((key, place, layer + 1, [start, end], _between(end, start, above_corners)))
-            for key, place, level, ring, ring_above in faces:
-                centre = vertex(key, *place)
-                edges = [corner(level, node) for node in ring] + [corner(layer, node) for node in ring_above]
-                tetrahedra += [
-                    (a, b, centre, body) for a, b in zip(edges, [*edges[1:], edges[0]], strict=True)
-                ]
-        above, above_corners = blocks, is_corner
-    return _outwards(np.array(vertices), np.array(tetrahedra, dtype=np.int32))
+    plane = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    node = np.arange(len(plane)).reshape(len(x), len(y))
+    cells = np.stack([node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1).reshape(-1, 4)
+    groups = np.empty((len(layers_mm) - 1, len(x) - 1, len(y) - 1), dtype=np.int64)
+    for layer, top_mm in enumerate(layers_mm[:-1]):
+        for number, (i, j, k, m) in enumerate(blocks_between(lines, coarsening, -top_mm)):
+            groups[layer, i:k, j:m] = number
+    return split_cells(plane, list(cells), layers_mm, groups.reshape(len(layers_mm) - 1, -1))
 
 
-def _corners(lines: Sequence[Floats], blocks: list[Block]) -> NDArray[np.bool_]:
-    """Return which crossings of lines are corners of blocks."""
-    is_corner = np.zeros((len(lines[0]), len(lines[1])), dtype=bool)
-    i, j, k, m = np.array(blocks).T
-    is_corner[np.concatenate([i, i, k, k]), np.concatenate([j, m, j, m])] = True
-    return is_corner
+def split_cells(
+    plane: Floats, cells: Cells, layers_mm: Floats, groups: Ints
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Stack layers of cells of a plane, `layers_mm` their z from 0 down; return vertices (n, 3) and tetrahedra (m, 4).
+
+    In each layer the cells of one of its `groups` (layers, cells) are one, and groups consist of whole ones of the
+    layer above. A cell gets a vertex in its centre and one in the centre of each face that it shares with one other,
+    and a tetrahedron at each edge of each face: 24 if it is a hexahedron among equals.
+    """
+    sides, count = _sides(plane, cells), len(plane)
+    owner = _joined_layers(plane, sides, -layers_mm, groups)
+    pair, edge, ends = _small_faces(sides, owner, count)
+    names, face = np.unique(np.sort(pair, axis=1), axis=0, return_inverse=True)
+    # What is left of a face's edges is its rim.
+    rim, times = np.unique(np.stack([face.ravel(), edge], axis=1), axis=0, return_counts=True)
+    face, edge = rim[times == 1].T
+    chain, chain_ends = _chains(ends, np.unique(edge))
+    face, chain = np.unique(np.stack([face, chain[edge]], axis=1), axis=0).T
+    nodes, corners = np.unique(chain_ends[chain], return_inverse=True)
+    corners = corners.reshape(-1, 2)
+    points = np.column_stack([plane[nodes % count], layers_mm[nodes // count]])
+    centres = _centres(points, corners, face)
+    first_body = len(points) + len(centres)
+    on_face = np.column_stack([corners, len(points) + face])
+    tetrahedra = np.concatenate(
+        [np.column_stack([on_face, first_body + own[face]])[own[face] >= 0] for own in names.T]
+    )
+    vertices = np.concatenate([points, centres, _middles(centres, names)])
+    return _outwards(vertices, tetrahedra.astype(np.int32))
 
 
-def _around(block: Block, is_corner: NDArray[np.bool_]) -> list[Node]:
-    """Return the corners on a block's sides, its own and those of smaller neighbours, counterclockwise."""
-    i, j, k, m = block
-    own = [(i, j), (k, j), (k, m), (i, m)]
-    return [
-        node
-        for start, end in zip(own, [*own[1:], own[0]], strict=True)
-        for node in _between(start, end, is_corner)[:-1]
-    ]
+class _Sides(NamedTuple):
+    """Sides of plane cells: their `ends` (s, 2), and the cells (s, 2) that each is between.
+
+    At the rim a number below −2 stands for the second cell, the same along a straight line. `start`, `end`, `cell` and
+    `side` are of the sides cell by cell, counterclockwise.
+    """
+
+    ends: Ints
+    cells: Ints
+    start: Ints
+    end: Ints
+    cell: Ints
+    side: Ints
 
 
-def _between(start: Node, end: Node, is_corner: NDArray[np.bool_]) -> list[Node]:
-    """Return the corners on a line from start to end, with both."""
-    (i, j), (k, m) = start, end
-    steps = max(abs(k - i), abs(m - j))
-    nodes = [(i + (k - i) // steps * n, j + (m - j) // steps * n) for n in range(steps + 1)]
-    return [node for node in nodes if is_corner[node]]
+def _sides(plane: Floats, cells: Cells) -> _Sides:
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
+    ends, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
+    side = side.ravel()
+    of_side = np.full((len(ends), 2), -3)
+    of_side[side[::-1], 0] = cell[::-1]
+    inner = of_side[side, 0] != cell
+    of_side[side[inner], 1] = cell[inner]
+    rim, line = plane[ends], of_side[:, 1]
+    for axis in (0, 1):
+        along = (line < 0) & (np.abs(np.diff(rim[:, :, axis], axis=1)[:, 0]) < _STRAIGHT)
+        _, found = np.unique(rim[along, 0, axis].round(6), return_inverse=True)
+        line[along] = line.min() - 1 - found
+    return _Sides(ends, of_side, start, end, cell, side)
+
+
+def _small_faces(sides: _Sides, owner: Ints, count: int) -> tuple[Ints, Ints, Ints]:
+    """Return what parts of faces, between different cells, are bounded by: pairs of cells (n, 2) and an edge (n,) each.
+
+    −1 is above the membrane, −2 below the backing. Also the ends (e, 2) of all edges, along sides and upright; a node
+    is numbered by level and then by its place among `count` of the plane.
+    """
+    levels, number = len(owner) + 1, len(sides.ends)
+    outside = np.full((1, owner.shape[1]), -1)
+    level = np.stack([np.vstack([outside, owner]), np.vstack([owner, outside - 1])], axis=-1)[:, sides.cell]
+    second = sides.cells[:, 1]
+    upright = np.stack(
+        [owner[:, sides.cells[:, 0]], np.where(second >= 0, owner[:, second], second)], axis=-1
+    )
+    along = number * np.arange(levels)[:, None] + np.arange(number)
+    standing = levels * number + count * np.arange(levels - 1)[:, None, None] + sides.ends
+    pairs = np.concatenate([level.reshape(-1, 2), np.tile(upright.reshape(-1, 2), (4, 1))])
+    edges = [along[:, sides.side], along[:-1], along[1:], standing[..., 0], standing[..., 1]]
+    apart = pairs[:, 0] != pairs[:, 1]
+    along_ends = (count * np.arange(levels)[:, None, None] + sides.ends).reshape(-1, 2)
+    ends = np.concatenate([along_ends, np.arange((levels - 1) * count)[:, None] + [0, count]])
+    return pairs[apart], np.concatenate([own.ravel() for own in edges])[apart], ends
+
+
+def _joined_layers(plane: Floats, sides: _Sides, depth_mm: Floats, groups: Ints) -> Ints:
+    """Return which cell each part is in, (layers, cells), with layers joined up to half as high as a cell is wide."""
+    a, b = plane[sides.start], plane[sides.end]
+    area = np.bincount(sides.cell, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    length = np.linalg.norm(b - a, axis=1)
+    across = sides.cells[sides.side].sum(axis=1) - sides.cell  # below 0 beyond the rim
+    owner, height = np.empty_like(groups), np.zeros(0)
+    for layer, group in enumerate(groups):
+        _, group = np.unique(group, return_inverse=True)
+        number, count = group.max() + 1, len(height)
+        rim = (across < 0) | (group[np.maximum(across, 0)] != group[sides.cell])
+        around = np.bincount(group[sides.cell[rim]], length[rim], number)
+        # Rounded, so that mirrored cells are joined alike.
+        highest_mm = (2 * np.bincount(group, area) / around).round(9) + 1e-9
+        high = np.full(number, depth_mm[layer + 1] - depth_mm[layer])
+        new = count + np.arange(number)
+        if layer:
+            last, above = owner[layer - 1], np.empty(number, dtype=np.int64)
+            above[group] = last
+            parts = np.bincount(group, minlength=number)
+            same = (np.bincount(group, last != above[group]) == 0) & (parts == np.bincount(last)[above])
+            joins = same & (height[above] + high <= highest_mm)
+            new = np.where(joins, above, count + np.cumsum(~joins) - 1)
+            high += np.where(joins, height[above], 0.0)
+        owner[layer] = new[group]
+        height = np.concatenate([height, np.empty(max(0, new.max() + 1 - count))])
+        height[new] = high
+    return owner
+
+
+def _chains(ends: Ints, edges: Ints) -> tuple[Ints, Ints]:
+    """Join `edges` that alone meet at a node; return of each the number of its chain, and the ends of chains (c, 2).
+
+    `ends` (n, 2) are the nodes of all edges.
+    """
+    used = ends[edges]
+    times = np.bincount(used.ravel())
+    chain = np.full(len(ends), -1)
+    whole = (times[used] != 2).all(axis=1)
+    chain[edges[whole]] = np.arange(whole.sum())
+    chain_ends = used[whole].tolist()
+    at_node: dict[int, list[int]] = {}
+    for edge in edges[~whole].tolist():
+        for node in ends[edge].tolist():
+            at_node.setdefault(node, []).append(edge)
+    for edge in edges[~whole].tolist():
+        if chain[edge] >= 0:
+            continue
+        chain[edge], way = len(chain_ends), []
+        for node in ends[edge].tolist():
+            last = edge
+            while times[node] == 2:
+                last = next(other for other in at_node[node] if other != last)
+                if chain[last] >= 0:
+                    break
+                chain[last] = len(chain_ends)
+                node = int(ends[last].sum()) - node
+            way.append(node)
+        chain_ends.append(way)
+    return chain, np.array(chain_ends)
+
+
+def _centres(points: Floats, edges: Ints, face: Ints) -> Floats:
+    """Return the mean (n, 3) of the points where the rim of each face turns, by its `edges` (e, 2) and their `face`."""
+    along = points[edges[:, 1]] - points[edges[:, 0]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    place, at = np.unique((face[:, None] * len(points) + edges).T.ravel(), return_inverse=True)
+    turn = np.stack([np.bincount(at, np.concatenate([own, -own])) for own in along.T], axis=1)
+    face, corner = np.divmod(place[np.linalg.norm(turn, axis=1) > _STRAIGHT], len(points))
+    first = points[corner[np.unique(face, return_index=True)[1]]]
+    # From one of them, so that what they have in common their mean has to the last bit.
+    from_first = points[corner] - first[face]
+    total = np.stack([np.bincount(face, own) for own in from_first.T], axis=1)
+    return first + total / np.bincount(face)[:, None]
+
+
+def _middles(centres: Floats, pairs: Ints) -> Floats:
+    """Return the middles (n, 3) of cells, by the centres (f, 3) of faces and the cells (f, 2) that each is between.
+
+    Below a cell lies one alone: its middle is over the centre of that face, at half of its height.
+    """
+    face, side = np.nonzero(pairs >= 0)
+    cell = pairs[face, side]
+    order = np.lexsort([centres[face, 2], cell])
+    first = np.searchsorted(cell[order], np.arange(cell.max() + 1))
+    last = np.append(first[1:], len(order)) - 1
+    middle = centres[face[order[first]]]
+    middle[:, 2] = (middle[:, 2] + centres[face[order[last]], 2]) / 2
+    return middle
 
 
 def _outwards(vertices: Floats, tetrahedra: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:

@@ -3,6 +3,7 @@
 The numbers are those of one core of a server of 2023, fitted by `python -m gelgap.benchmarks.physics.cost`.
 """
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,33 +16,42 @@ from gelgap.sim.problem import QUALITIES, ContactProblem
 from gelgap.sim.steady import solved_problems
 
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
-BUILD_S, BUILD_POWER = 0.048, 1.6
-# An iteration: seconds for 1000 vertices, and for 10⁹ operations of the elimination.
-VERTICES_S, GFLOP_S = 0.0110, 0.0183
+BUILD_S, BUILD_POWER = 0.032, 1.6
+# An iteration: seconds for 1000 vertices that the indenter can touch, and for 10⁹ operations of the elimination.
+TOUCHABLE_S, GFLOP_S = 0.41, 0.0155
 # Iterations of a load step straight down, of which the first onto the gel counts as three; of one sideways; and for
 # each cell that it goes.
-PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.0, 6.0, 9.0
+PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.7, 6.8, 10.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
-_GFLOP, _COUNTED_THOUSANDS = 0.045, 8.0
+_GFLOP, _COUNTED_THOUSANDS = 0.060, 8.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
+# A way is given up once it has taken this many times its forecast, core seconds, but no fewer than these and no more
+# than `_MOST_OF_LONGEST` times these: three of 39 random scenes took 55 to over 90 s at `draft`, and ended flagged.
+LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
+_LONGEST_FORECASTS, _MOST_OF_LONGEST = 2.5, 3.0
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
 
 class Work(NamedTuple):
-    """What a solve consists of: 1000 vertices, 10⁹ operations of an elimination, iterations."""
+    """What a solve consists of: 1000 vertices, of them touchable, 10⁹ operations of an elimination, iterations."""
 
     thousands: float
+    touchable: float
     gflop: float
     iterations: float
 
     @property
+    def iteration_s(self) -> float:
+        """About how many seconds of a core an iteration takes."""
+        return TOUCHABLE_S * self.touchable + GFLOP_S * self.gflop
+
+    @property
     def core_s(self) -> float:
-        """About how many seconds of a core it takes."""
-        iteration_s = VERTICES_S * self.thousands + GFLOP_S * self.gflop
-        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * iteration_s
+        """About how many seconds of a core all of it takes."""
+        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * self.iteration_s
 
 
 def expected_core_s(problem: ContactProblem) -> float:
@@ -52,9 +62,10 @@ def expected_core_s(problem: ContactProblem) -> float:
 @lru_cache(maxsize=32)
 def expected_work(problem: ContactProblem) -> Work:
     """Return what the solve of a problem will consist of, if all of its slides are solved to their ends."""
-    thousands = len(unordered_mesh(problem).vertices_mm) / 1000
+    mesh = unordered_mesh(problem)
+    thousands, touched = len(mesh.vertices_mm) / 1000, len(touchable(mesh, problem)) / 1000
     gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(problem)
-    return Work(thousands, gflop, expected_iterations(problem))
+    return Work(thousands, touched, gflop, expected_iterations(problem))
 
 
 def expected_iterations(problem: ContactProblem) -> float:
@@ -71,6 +82,13 @@ def expected_iterations(problem: ContactProblem) -> float:
             features = abs(change[2]) / steps / problem.indenter.feature_size_mm
             iterations += PRESS_ITERATIONS * steps * max(1.0, features)
     return float(iterations)
+
+
+def most_iterations(problem: ContactProblem) -> int:
+    """Return after how many iterations a way through a problem's waypoints is given up."""
+    work, longest_s = expected_work(problem), LONGEST_S[problem.quality.name]
+    allowed_s = min(max(longest_s, _LONGEST_FORECASTS * work.core_s), _MOST_OF_LONGEST * longest_s)
+    return math.ceil(allowed_s / work.iteration_s)
 
 
 def _counted_gflop(problem: ContactProblem) -> float:

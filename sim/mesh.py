@@ -6,7 +6,6 @@ layers of prisms, which are split into tetrahedra that do not lock.
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,14 +14,12 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gelgap.sim.blocks import Coarsening, split_blocks
+from gelgap.sim.blocks import Cells, Coarsening, split_blocks, split_cells
 from gelgap.sim.grading import Sizes, sizes_along
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import PadEdges
 
-# Corners of each plane cell, counterclockwise.
-Cells = Sequence[NDArray[np.int64]]
 Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -51,6 +48,8 @@ _TOUCHING_MARGIN = 0.3
 _LARGEST_TOUCHING_MARGIN_MM = 0.4
 # What a body passes over is looked for this often.
 _TOUCHING_STEP_MM = 0.1
+# Cells that are nearer to the axis than this share of their depth are one.
+_JOINED_RADIUS = 0.3
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
 _SNAPPED_SHARE = 0.35
 
@@ -123,15 +122,15 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
         return layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
 
     if problem.is_round:
-        plane, cells, finest_mm = _around_axis(problem)
-        return GelMesh(*_split_prisms(plane, cells, layers_mm(finest_mm)), problem.symmetric)
+        grid, finest_mm = _around_axis(problem)
+        return pad_mesh(grid, layers_mm(finest_mm), problem.pad_mm, symmetric=problem.symmetric)
     lines, coarsening = _lines_and_blocks(problem)
     layers = layers_mm(coarsening.finest_mm / _FINEST_BLOCK)
     return GelMesh(*split_blocks(lines, layers, coarsening), problem.symmetric)
 
 
-def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
-    """Return plane cells for a contact that is round, and the width of the finest."""
+def _around_axis(problem: ContactProblem) -> tuple[DiscGrid, float]:
+    """Return how the disc of a contact that is round is divided, and the width of its finest cells."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
     contact = min(problem.half_cut_mm)
     *axis, aside, direction = straightest_line(problem.segments[:, :, :2])
@@ -157,7 +156,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
         direction=direction,
         sizes=sizes,
     )
-    return *pad_cells(grid, problem.pad_mm, symmetric=problem.symmetric), finest
+    return grid, finest
 
 
 def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Points], Coarsening]:
@@ -197,8 +196,35 @@ def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[fl
 
 
 def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
-    """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down."""
-    return GelMesh(*_split_prisms(*pad_cells(grid, pad_mm, symmetric=symmetric), layers_mm), symmetric)
+    """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down, joined around the axis."""
+    plane, cells = pad_cells(grid, pad_mm, symmetric=symmetric)
+    groups = np.stack([_groups(grid, plane, cells, -top_mm) for top_mm in layers_mm[:-1]])
+    return GelMesh(*split_cells(plane, cells, layers_mm, groups), symmetric)
+
+
+def _groups(grid: DiscGrid, plane: Points, cells: Cells, depth_mm: float) -> Ints:
+    """Return which plane cells (n,) are one at a depth: those that are nearer to the axis than a share of the depth.
+
+    Along the line that the axis is drawn out to, columns become one by twos.
+    """
+    low, high = grid.axis_mm
+    turned = plane @ np.array(
+        [[grid.direction[0], -grid.direction[1]], [grid.direction[1], grid.direction[0]]]
+    )
+    from_axis_mm = np.hypot(turned[:, 0] - np.clip(turned[:, 0], low, high), turned[:, 1])
+    radius_mm = _JOINED_RADIUS * depth_mm
+    within = np.array([from_axis_mm[cell].max() for cell in cells]) <= radius_mm
+    columns = max(1, round((high - low) / grid.spacing_mm))
+    groups = np.arange(len(cells))
+    if high - low <= radius_mm:
+        groups[within] = -1
+        return groups
+    width_mm = (high - low) / columns
+    joined = 2 ** max(0, math.floor(math.log2(2 * radius_mm / width_mm))) if radius_mm > 0 else 1
+    along_mm = np.array([turned[cell, 0].mean() for cell in cells])
+    column = np.clip(np.floor((along_mm - low) / width_mm), -1, columns)
+    groups[within] = -2 - np.where(column < columns, column // joined, columns)[within]
+    return groups
 
 
 def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tuple[Points, Cells]:
@@ -392,49 +418,6 @@ def _merged(plane: Points, cells: Cells) -> tuple[Points, Cells]:
     cells = [number[first[place.ravel()[cell]]] for cell in cells]
     cells = [corners[corners != np.roll(corners, 1)] for corners in cells]
     return plane[np.sort(first)], [corners for corners in cells if len(corners) > 2]
-
-
-def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Points, NDArray[np.int32]]:
-    """Stack layers of prisms on plane cells and split each; return vertices (n, 3) and tetrahedra (m, 4).
-
-    A prism gets a vertex in its centre and one in the centre of each face: 24 tetrahedra if it is a hexahedron.
-    """
-    count, levels = len(plane), len(layers_mm)
-    start = np.concatenate(cells)
-    end = np.concatenate([np.roll(cell, -1) for cell in cells])
-    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
-    sides, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
-    centre = np.stack([np.bincount(cell, plane[start, axis]) / np.bincount(cell) for axis in (0, 1)], 1)
-    middle = 0.5 * (layers_mm[:-1] + layers_mm[1:])
-    blocks = [
-        (plane, layers_mm),
-        (centre, layers_mm),
-        (plane[sides].mean(axis=1), middle),
-        (centre, middle),
-    ]
-    vertices = np.concatenate(
-        [np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))]) for xy, z in blocks]
-    )
-    first = np.cumsum([0, *(len(xy) * len(z) for xy, z in blocks)])
-    tetrahedra = []
-    for level in range(levels - 1):
-        a, b = level * count + start, level * count + end
-        below_a, below_b = a + count, b + count
-        top = first[1] + level * len(cells) + cell
-        face = first[2] + level * len(sides) + side.ravel()
-        body = first[3] + level * len(cells) + cell
-        tetrahedra += [
-            np.stack(corners, axis=1)
-            for corners in (
-                (b, a, top, body),
-                (below_a, below_b, top + len(cells), body),
-                (a, b, face, body),
-                (b, below_b, face, body),
-                (below_b, below_a, face, body),
-                (below_a, a, face, body),
-            )
-        ]
-    return vertices, np.concatenate(tetrahedra).astype(np.int32)
 
 
 def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
+from gelgap.sim.cost import most_iterations
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
@@ -21,7 +22,7 @@ from gelgap.sim.steady import solve_steadily
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)
 # A load step that takes longer, loses the gel, or in which vertices run away, is undone and repeated in two halves, and
-# these in halves if they fail as well.
+# these in halves if they fail as well; if a quarter fails, the way ends.
 _ITERATIONS_PER_STEP = 60
 _MOST_HALVINGS = 2
 # Vertices that carry force in equilibrium lie on the indenter to this distance.
@@ -114,6 +115,8 @@ class StaticNewton:
         self.slip_mm = np.zeros(gel.model.ngeom)
         self.snapped = False
         self.iterations = 0
+        self._most_iterations = most_iterations(problem)
+        self._ran_away = False
         self.left_to_mujoco = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
         self._condensed = condensed
@@ -122,48 +125,57 @@ class StaticNewton:
         self._accepted = self._factorised = False
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
-        """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state."""
+        """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
+
+        A way ends where a load step fails, an element is inverted or all of `most_iterations` are spent: the waypoints
+        from there on have the last equilibrium as their state, unconverged.
+        """
         problem, mesh = self.problem, self.gel.mesh
         done, total = 0, problem.load_steps
         progress(done, total)
-        states = {-1: self.state()}
-        records = []
+        states, left = {-1: self.state()}, {-1: most_iterations(problem)}
+        records: list[Record] = []
         for index, (command, parent) in enumerate(zip(problem.commands, problem.parents, strict=True)):
             if parent != index - 1:
                 self.return_to(states[parent])
-            self.iterations = 0
+            self.iterations, self._most_iterations, self._ran_away = 0, left[parent], False
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
-                held = self.active.any()
                 converged = self._advance(start + change * share, passes=share < 1)
+                if not converged:
+                    break
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
-                if held and not converged and not self.active.any():
-                    break  # From a state that has lost the gel no step leads back.
             records.append(self._polished_record(converged))
+            whole = converged and records[-1].diagnostics.min_volume_ratio > 0
+            left[index] = max(0, left[parent] - self.iterations) if whole else 0
             done += steps
             if index in problem.parents[index + 2 :]:
                 states[index] = self.state()
         return Solution(problem, (mesh.vertices_mm[mesh.surface, :2],), tuple(records))
 
     def _advance(self, command: Floats, *, passes: bool, halvings: int = _MOST_HALVINGS) -> bool:
-        """Take a load step, in halves if need be, and return whether it converged.
+        """Take a load step, in halves if need be, and return whether it converged; if not, it ends at what did.
 
         The indenter `passes` the command, or it is a waypoint.
         """
         start, middle = self.state(), 0.5 * (self.command + command)
-        converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP, passes=passes)
-        # What runs away in halves as well is not a matter of their length.
-        ran_away &= halvings == _MOST_HALVINGS
-        if (converged and not ran_away) or halvings == 0:
-            return converged
+        most = min(_ITERATIONS_PER_STEP, self._most_iterations - self.iterations)
+        ran_away = self._ran_away
+        converged, self._ran_away = self.load_step(command, most, passes=passes)
+        # What runs away in halves as well is not a matter of their length, nor is it in the next step.
+        if converged and (ran_away or not self._ran_away or halvings < _MOST_HALVINGS):
+            return True
         self.return_to(start)
-        self._advance(middle, passes=True, halvings=halvings - 1)
-        return self._advance(command, passes=passes, halvings=halvings - 1)
+        if halvings and self.iterations < self._most_iterations:
+            there = self._advance(middle, passes=True, halvings=halvings - 1)
+            return there and self._advance(command, passes=passes, halvings=halvings - 1)
+        self.iterate()  # The forces of this state, to be recorded.
+        return False
 
     def load_step(self, command: Floats, most_iterations: int, *, passes: bool = False) -> tuple[bool, bool]:
         """Move the drive to a command (6,) and iterate to equilibrium, or until the iterations are spent.
@@ -363,6 +375,8 @@ class StaticNewton:
         self.data.qpos[:] = state.qpos
         self.command, self.active = state.command, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped
+        if not self._rigid:
+            self.gel.model.qpos_spring[self.gel.indenter_qpos] = self.command[:3]
         self._turn(np.eye(3))
 
     @property

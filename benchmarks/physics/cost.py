@@ -35,6 +35,7 @@ def measure(problem: ContactProblem) -> dict[str, float]:
         ended = time.process_time()
     return {
         "thousands": work.thousands,
+        "touchable": work.touchable,
         "gflop": work.gflop,
         "expected_iterations": work.iterations,
         "iterations": sum(record.diagnostics.iterations for record in records),
@@ -48,12 +49,12 @@ def refitted(scenes: pd.DataFrame) -> dict[str, float]:
     """Return the numbers of `sim/cost.py` that fit these scenes, each as a share of what it is multiplied with."""
     per_iteration_s = (scenes["core_s"] - scenes["build_s"]) / scenes["iterations"]
     causes: NDArray[np.float64] = (
-        scenes[["thousands", "gflop"]].to_numpy() / per_iteration_s.to_numpy()[:, None]
+        scenes[["touchable", "gflop"]].to_numpy() / per_iteration_s.to_numpy()[:, None]
     )
-    (vertices_s, gflop_s), *_ = np.linalg.lstsq(causes, np.ones(len(scenes)), rcond=None)
+    (touchable_s, gflop_s), *_ = np.linalg.lstsq(causes, np.ones(len(scenes)), rcond=None)
     return {
         "BUILD_S": float((scenes["build_s"] / scenes["thousands"] ** BUILD_POWER).median()),
-        "VERTICES_S": float(vertices_s),
+        "TOUCHABLE_S": float(touchable_s),
         "GFLOP_S": float(gflop_s),
         "iterations, real over expected": float(
             (scenes["iterations"] / scenes["expected_iterations"]).median()
@@ -67,6 +68,8 @@ def main() -> None:
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--number", type=int, default=60, help="scenes that are drawn")
     chosen = parser.parse_args()
+    if chosen.number < 1:
+        parser.error(f"--number {chosen.number}: must be 1 or more")
     rows = []
     for number in range(CORNERS, CORNERS + chosen.number):
         for problem in solved_problems(drawn_case(number, chosen.quality).solve.problem):

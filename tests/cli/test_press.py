@@ -39,6 +39,16 @@ def test_a_press_may_twist(capsys: pytest.CaptureFixture[str], refused: Callable
     assert "twist_deg = 100: must be in [−90, 90]°" in refused("press", "--turn-deg", "0", "0", "100")
 
 
+def test_a_press_that_does_not_converge_says_how_far_it_came(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gelgap.sim.newton.most_iterations", lambda _: 12)
+    main(["press", "--quality", "draft", "--depth-mm", "0.513"])
+    told = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("converged"))
+    assert "NO: the indenter came 0." in told
+    assert told.endswith("try --quality standard, less depth or travel")
+
+
 def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused: Callable[..., str]) -> None:
     tip = trimesh.util.concatenate(
         [trimesh.creation.box((0.003, 0.003, 0.012)), trimesh.creation.box((0.016, 0.016, 0.004))]

@@ -58,3 +58,14 @@ def test_blocks_between_mirrored_lines_are_mirror_images() -> None:
             {tuple(v) for v in (points.round(6) + 0.0).tolist()} for points in (vertices, vertices * mirror)
         )
         assert own == image
+
+
+def test_thin_layers_are_one_where_blocks_are_wide() -> None:
+    lines = np.concatenate([np.linspace(-1, 1, 11), [1.6, 2.6, 4.2, 6.0]]), np.linspace(-1, 1, 11)
+    vertices, _ = split_blocks(lines, LAYERS, Coarsening(np.array([[-1.0, 1.0], [-1.0, 1.0]]), 0.2, 0.4, 2.0))
+    near, far = (
+        {*vertices[np.abs(vertices[:, 0] - x_mm) < 1e-9, 2].round(9).tolist()} for x_mm in (0.0, 6.0)
+    )
+    assert {*LAYERS.tolist()} <= near
+    assert {0.0, -3.0} <= far < near | {-0.15}
+    assert -0.1 not in far

@@ -116,6 +116,15 @@ def test_a_disc_drawn_out_along_a_turned_line_is_filled_without_gaps() -> None:
     assert _distance_to_the_line(centres[inside]).min() > 0.9 * 9.9
 
 
+@pytest.mark.parametrize("grid", [GRID, STADIUM])
+def test_cells_around_the_axis_are_one_below(grid: DiscGrid) -> None:
+    vertices = pad_mesh(replace(grid, spacing_mm=0.2), LAYERS, None, symmetric=False).vertices_mm
+    at_top, below = (
+        (np.hypot(*vertices[np.abs(vertices[:, 2] - z_mm) < 1e-9, :2].T) < 0.4).sum() for z_mm in (0.0, -3.0)
+    )
+    assert 0 < below < at_top / 4
+
+
 def test_columns_along_a_drag_merge_far_from_it() -> None:
     plane, cells = half_stadium(replace(STADIUM, axis_mm=(0.0, 3.2)))
     corners = [len(cell) for cell in cells]

@@ -53,6 +53,24 @@ def test_a_load_step_that_does_not_settle_is_taken_in_halves(monkeypatch: pytest
     np.testing.assert_allclose(dragged.force_n, expected, rtol=2e-3, atol=1e-6)
 
 
+def test_a_way_that_takes_too_long_ends_in_its_last_equilibrium(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = ((0, 0, -0.1), (0, 0, -0.5), (0.1, 0, -0.5))
+    problem = ContactProblem.of(Scene(NO_SLIP, Sphere(), "draft", Sharing()), None, way, (-1, 0, 1))
+    whole = solve(problem).records
+    enough = sum(record.diagnostics.iterations for record in whole[:2]) - 2
+    monkeypatch.setattr(newton, "most_iterations", lambda _: enough)
+    reached, ended, after = solve(problem).records
+    assert reached.converged
+    np.testing.assert_array_equal(reached.force_n, whole[0].force_n)
+    assert not ended.converged
+    assert not after.converged
+    assert -0.5 < ended.indenter_mm[2] <= -0.1
+    assert whole[1].force_n[2] < ended.force_n[2] < 0.9 * whole[0].force_n[2]
+    assert ended.diagnostics.residual < 1e-3
+    assert after.diagnostics.iterations <= 2
+    np.testing.assert_allclose(after.force_n, ended.force_n, rtol=1e-3, atol=1e-6)
+
+
 def ends(rates: list[float], furthest: float, number: int) -> np.ndarray:
     """Return how far from its end, 0, a linear iteration of those rates is after some accelerated iterations."""
     acceleration, place = AndersonAcceleration(), np.ones(len(rates))
