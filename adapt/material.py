@@ -47,7 +47,7 @@ def fit_modulus_ratio(measured_n: ArrayLike, expected_n: ArrayLike) -> tuple[flo
                 f"load {number}: {pair[0]:g} N is measured and {pair[1]:g} N expected; both must be finite, not 0, and "
                 "of one sign (Fz of a press is negative)"
             )
-    order = np.argsort(abs(measured), kind="stable")
+    order = np.lexsort((abs(expected), abs(measured)))
     sizes = abs(expected)[order]
     short = np.maximum.accumulate(sizes) - sizes
     if short.max() > _OUT_OF_ORDER * sizes.max():

@@ -49,7 +49,7 @@ _LARGEST_TOUCHING_MARGIN_MM = 0.4
 # What a body passes over is looked for this often.
 _TOUCHING_STEP_MM = 0.1
 # Cells that are nearer to the axis than this share of their depth are one.
-_JOINED_RADIUS = 0.3
+_JOINED_RADIUS = 0.15
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
 _SNAPPED_SHARE = 0.35
 

@@ -118,9 +118,9 @@ def test_a_disc_drawn_out_along_a_turned_line_is_filled_without_gaps() -> None:
 
 @pytest.mark.parametrize("grid", [GRID, STADIUM])
 def test_cells_around_the_axis_are_one_below(grid: DiscGrid) -> None:
-    vertices = pad_mesh(replace(grid, spacing_mm=0.2), LAYERS, None, symmetric=False).vertices_mm
+    vertices = pad_mesh(replace(grid, spacing_mm=0.1), LAYERS, None, symmetric=False).vertices_mm
     at_top, below = (
-        (np.hypot(*vertices[np.abs(vertices[:, 2] - z_mm) < 1e-9, :2].T) < 0.4).sum() for z_mm in (0.0, -3.0)
+        (np.hypot(*vertices[np.abs(vertices[:, 2] - z_mm) < 1e-9, :2].T) < 0.3).sum() for z_mm in (0.0, -3.0)
     )
     assert 0 < below < at_top / 4
 
