@@ -1,7 +1,7 @@
 """Tetrahedra of a pad: cells of its plane, stacked in layers and joined to larger ones where the gel needs no finer.
 
 Under a contact cells are as small as it needs. Deeper several of them become one, and so do thin layers where cells are
-wide. A touch of a thick pad (scene 34 of `benchmark stability`) has 9,400 instead of 15,900 vertices so.
+wide. A touch of a thick pad (scene 34 of `benchmark stability`) has 10,800 instead of 15,900 vertices so.
 """
 
 from collections.abc import Sequence
