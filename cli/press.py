@@ -142,8 +142,9 @@ class Press(opt.Command):
         force = zip("xyz", report["force_n"], report["force_error_n"], strict=True)
         torque = "  ".join(f"T{axis} {t:+.4f}" for axis, t in zip("xyz", report["torque_n_mm"], strict=True))
         radius = f"{report['contact_radius_mm']:.3f} ± {report['contact_radius_error_mm']:.3f}"
-        finer = {"draft": "try --quality standard", "standard": "try --quality fine"}
-        advice = finer.get(self.quality, "there is no finer one")
+        finer = {"draft": "standard", "standard": "fine"}.get(self.quality)
+        try_finer = f"try --quality {finer}" if finer else "there is no finer one"
+        remedy = f"{try_finer}, less depth or travel" if finer else "try less depth or travel"
         x, y, z = report["indenter_mm"]
         came = f"the indenter came {-z:.3g} mm deep and {math.hypot(x, y):.3g} mm sideways"
         if report["min_volume_ratio"] <= 0:
@@ -156,11 +157,11 @@ class Press(opt.Command):
             "contact radius": f"{radius} mm",
             "membrane": f"± {1e3 * report['membrane_error_mm']:.1f} µm",
             "slip": f"{report['slip']}: {100 * report['sticking_fraction']:.0f} % of the load sticks",
-            "converged": "yes" if report["converged"] else f"NO: {came}; {advice}, less depth or travel",
+            "converged": "yes" if report["converged"] else f"NO: {came}; {remedy}",
         }
         if report["folded"]:
             rows["folded"] = "the membrane lies on itself: no camera sees it; drag less, or press less deep"
         if report["coarse"]:
-            rows["coarse"] = f"the force may be off by more than this quality promises; {advice}"
+            rows["coarse"] = f"the force may be off by more than this quality promises; {try_finer}"
         rows["wall time"] = f"{report['wall_s']:.2f} s"
         return "\n".join(f"{what:<16}{value}" for what, value in rows.items())

@@ -45,6 +45,8 @@ _FINE_SPACING_MM = 0.05
 _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
+# A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
+_FADING_CELLS = 6.0
 
 
 def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tuple[Floats, Floats]:
@@ -56,10 +58,6 @@ def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tupl
     cells = (math.ceil(extent_mm / GRID_SPACING_MM - 1e-3) for extent_mm in extents_mm)
     x_mm, y_mm = (np.round(np.arange(-count, count + 1) * GRID_SPACING_MM, 9) for count in cells)
     return x_mm, y_mm
-
-
-# A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
-_FADING_CELLS = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +341,7 @@ class MembraneCubic:
 
     rest_mm: Floats
     displacement_mm: Floats
-    cells: "Cells | None" = None
+    cells: Cells | None = None
 
     @cached_property
     def _cubic(self) -> Any:

@@ -133,7 +133,7 @@ class StaticNewton:
         problem, mesh = self.problem, self.gel.mesh
         done, total = 0, problem.load_steps
         progress(done, total)
-        states, left = {-1: self.state()}, {-1: most_iterations(problem)}
+        states, left = {-1: self.state()}, {-1: self._most_iterations}
         records: list[Record] = []
         for index, (command, parent) in enumerate(zip(problem.commands, problem.parents, strict=True)):
             if parent != index - 1:

@@ -182,11 +182,11 @@ class ContactProblem:
         # Adding 0 turns −0, which would have another key, into 0.
         commands = [tuple(float(c) + 0.0 for c in command) for command in commands]
         turns = tuple(command[3:] for command in commands)
-        gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
+        gel = scene.elastomer
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
         problem = cls(
-            moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
+            moduli=gel.mujoco_moduli,
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
             indenter=scene.indenter_in_frame(edges=pad_mm is not None),
@@ -198,17 +198,14 @@ class ContactProblem:
             turns_deg=turns if any(map(any, turns)) else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )
-        if not problem.covers_pad:
-            return problem
-        if gel.poisson_ratio > LARGEST_POISSON_RATIO:
+        if problem.covers_pad and gel.poisson_ratio > LARGEST_POISSON_RATIO:
             raise ValueError(
                 f"poisson_ratio = {gel.poisson_ratio:g}: under an indenter ({scene.indenter.label}) that covers "
                 f"the pad the gel resists by its volume; must be at most {LARGEST_POISSON_RATIO:g}"
             )
         own = problem.moduli_of(gel)
-        return replace(
-            problem, moduli=replace(own, young_modulus_mpa=round(own.young_modulus_mpa * scale, 12))
-        )
+        young_modulus_mpa = round(own.young_modulus_mpa * scale, 12)
+        return replace(problem, moduli=replace(own, young_modulus_mpa=young_modulus_mpa))
 
     def moduli_of(self, gel: Elastomer) -> Moduli:
         """Return the moduli with which MuJoCo's energy acts as a gel's: equivalent ones, if the gel can rise beside."""

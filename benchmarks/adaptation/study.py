@@ -185,14 +185,11 @@ class Study:
         return split_for_training(source, target, self.profile_of(run), run["seed"])
 
     def stated_of(self, run: Setting) -> Results:
-        """Return what the record of a run states of its profile and data."""
-        data = [(domain.recipe.key, domain.digest) for domain in self.domains_of(run)]
-        return self.stated(self.profile_of(run), run["method"], *data)
-
-    def stated(self, profile: "Profile", method: str, *data: Any) -> Results:
-        """Return what a record states of a profile, of a method's settings, and of what says which data are used."""
+        """Return what the record of a run states of its profile, its method and its data."""
         from gelgap.adapt.methods.registry import method_code
 
+        profile, method = self.profile_of(run), run["method"]
+        data = [(domain.recipe.key, domain.digest) for domain in self.domains_of(run)]
         return {
             "profile": self.profile,
             "configuration": configuration_of(profile, *data),

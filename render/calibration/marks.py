@@ -22,10 +22,8 @@ _LEAST_CHANGE = 5.0  # code values
 _BLUR_SHARE, _FINE_BLUR_PX = 1 / 80, 1.0  # of the width, to find a contact; to measure it
 _STEP_BEYOND_CONTACT = 1.2  # where a dent's change falls most, in radii of its contact
 _DIRECTIONS = 72
-_SAMPLES, _REACH = (
-    800,
-    1.25,
-)  # how many points of a press are compared, and how far from its centre, in contact radii
+_SAMPLES = 800  # how many points of a press are compared
+_REACH = 1.25  # how far from its centre, in contact radii
 _RADII = 60
 _ROUNDS, _SHARED_ROUNDS, _EVALUATIONS = 4, 4, 8
 _MOST_MOVED, _SHRINKS, _GROWS = 0.6, 0.6, 1.5  # of the radius, in a round

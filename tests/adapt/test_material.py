@@ -66,7 +66,7 @@ def test_forces_are_scaled_and_the_model_is_kept_so(stage1, target, tmp_path):
     np.testing.assert_allclose(hard.predict_n(target), 2 * stage1.predict_n(target))
     again = with_modulus_ratio(hard, 0.5)
     np.testing.assert_allclose(again.predict_n(target), stage1.predict_n(target))
-    # The range that a prediction is held against is scaled, too.
+    # Notes compare predictions with the scaled range.
     picture = [("a.png", target.picture(int(target.force_n[:, 2].argmin())))]
     notes = [
         row["note"] for model in (stage1, hard) for row in predict_each(model, picture, target.reference)
