@@ -66,6 +66,8 @@ class Profile(PresetSettings):
     """a in the learning rate's factor (1 + a·step)^−b"""
     rate_power: float = Field(default=0.75, ge=0)
     """b in the learning rate's factor (1 + a·step)^−b"""
+    final_fall: float = Field(default=0.0, ge=0, le=1)
+    """share of a stage's steps, its last ones, over which the learning rate also falls linearly to zero"""
     averaging: float = Field(default=0.0, ge=0, lt=1)
     """share of the averaged weights that a step keeps; the average is the result of a stage; 0: the last weights are"""
     regression_weight: float = Field(default=1.0, ge=0)

@@ -282,7 +282,7 @@ def train(
             source = TrainingDomain(drawn, profile, network.device, labelled=True)
         for number, batches in enumerate(batches_of(epoch, source, target, profile, seed), epoch * steps):
             log.batch_is_made()
-            _set_rate(optimizer, profile, number)
+            _set_rate(optimizer, profile, number, steps * epochs)
             optimizer.zero_grad(set_to_none=True)
             weight = final_weight * transfer_factor(number, steps * epochs, profile)
             step = Step(number, weight, generator(seed, Draw.METHOD, number))
@@ -382,6 +382,8 @@ def _activations(
         rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
         target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
         shown = [method.augment_source(shown[0], target.inputs, step), target.inputs]
+        if not method.compares_features and profile.judges_by_own_statistics:
+            shown.pop()  # what the network makes of it would change nothing
     with autocast(profile, network.device):
         if target is not None and profile.batch_statistics == "joint":
             features = network.features(torch.cat(shown)).split(list(map(len, shown)))
@@ -396,7 +398,7 @@ def _activations(
         return Activations(features, prediction, logits, batch.force, batch.contact_class, batch.inputs)
 
     activations = heads(features[0].float(), source)
-    return activations, None if target is None else heads(features[1].float(), target)
+    return activations, None if len(shown) == 1 else heads(features[1].float(), target)
 
 
 @torch.no_grad()
@@ -408,9 +410,11 @@ def _move_towards(mean: ForceNetwork, network: ForceNetwork, share: float) -> No
             own.lerp_(other, share)
 
 
-def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int) -> None:
-    """Set the learning rates of a step by the paper's schedule (section IV-B)."""
+def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int, steps: int) -> None:
+    """Set the learning rates of a step by the paper's schedule (section IV-B), and let them fall to zero at the end."""
     factor = (1 + profile.rate_decay * number) ** -profile.rate_power
+    if profile.final_fall:
+        factor *= min(1.0, (1 - number / steps) / profile.final_fall)
     for group in optimizer.param_groups:
         group["lr"] = group["initial_lr"] * factor
 

@@ -112,6 +112,8 @@ class Method(nn.Module):
         The method's hyperparameters.
     uses_target
         Whether it sees target pictures.
+    compares_features
+        Whether its loss reads the target's activations.
     uses_classifier
         Whether it needs class logits, and so a source with contact classes.
     uses_target_labels
@@ -122,6 +124,7 @@ class Method(nn.Module):
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
     uses_target: ClassVar[bool] = True
+    compares_features: ClassVar[bool] = True
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True

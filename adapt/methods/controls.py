@@ -49,7 +49,9 @@ class AdaBN(Method):
 class NoTransfer(Method):
     """Stage 2 without a transfer loss: as long a training, under the same batch statistics, as the methods have."""
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+    compares_features = False
+
+    def transfer_loss(self, source: Activations, target: Activations | None) -> Tensor:
         return source.features.new_zeros(())
 
 

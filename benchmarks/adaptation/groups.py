@@ -328,7 +328,7 @@ def method_table(runs: pd.DataFrame, shown: str, upper_bounds: pd.DataFrame) -> 
         frame,
         f"Split by contact point; {_seeds(runs)}. {shares if groups else ''}No shear: the method's Fz beside the "
         f"source's mean shear. Intervals: bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant "
-        "mean's error. Stage 2: median wall time of one core; stage 1, which all methods of a source and seed share, "
+        "mean's error. Stage 2: median time of a core; stage 1, which all methods of a source and seed share, "
         f"took {cell(stage1_s, '{:.1f}') or '–'} s. {halves(errors)}",
         {**SUMMARY_FORMATS, "collapsed": "{:d}", "stage 2, s": "{:.1f}"},
     )
