@@ -10,11 +10,19 @@ import torch
 from network_weights import weights
 from torch.optim.optimizer import register_optimizer_step_pre_hook
 
-from gelgap.adapt.data import Draw, TrainingDomain, epoch_order, network_inputs, split_for_training
+from gelgap.adapt.data import (
+    Draw,
+    TrainingDomain,
+    epoch_order,
+    network_inputs,
+    split_for_training,
+    steps_per_epoch,
+)
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
 from gelgap.adapt.model import ForceModel
+from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
@@ -70,6 +78,25 @@ def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, ta
         torch.testing.assert_close(one, two, rtol=0, atol=0, msg=name)
     assert np.abs(first.predict_n(target) - second.predict_n(target)).max() > 1e-3
     assert np.abs(weights(first) - weights(stage1)).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("statistics", "method", "shown"),
+    [("per_domain", "no-transfer", 1), ("per_domain", "dan", 2), ("mixed", "no-transfer", 2)],
+)
+def test_stage_2_shows_the_network_a_target_only_if_that_changes_something(
+    stage1, source, target, monkeypatch, statistics, method, shown
+):
+    trained, features = [], ForceNetwork.features
+
+    def noting(network, pictures):
+        trained.append(torch.is_grad_enabled())
+        return features(network, pictures)
+
+    monkeypatch.setattr(ForceNetwork, "features", noting)
+    profile = stage1.profile.replace(batch_statistics=statistics, adapt_epochs=1)
+    adapt(stage1, source, target, method, profile)
+    assert sum(trained) == shown * steps_per_epoch(len(source), profile.batch_size)
 
 
 def test_mixed_statistics_are_those_of_both_domains_in_turn(stage1, source, target):
