@@ -15,7 +15,7 @@ from gelgap.assets.names import one_line
 from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.rim import twist_factor
+from gelgap.sim.rim import sticking_share, twist_factor
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
@@ -168,8 +168,8 @@ def diagnose(
     found["elastic_energy_mj"] *= modulus_ratio
     # Where static friction holds many vertices, they may bear more than `friction` allows.
     few_stick = found["sticking_fraction"] <= 2 * _LARGEST_CENTRE_SHARE
-    if few_stick and _turns_about_a_vertex(record, problem.friction):
-        found["sticking_fraction"] = 0.0
+    turns = few_stick and _turns_about_a_vertex(record, problem.friction)
+    found["sticking_fraction"] = 0.0 if turns else sticking_share(solution, record)
     return Diagnostics(
         **found,
         fz_error_n=fz * force_n,
