@@ -83,7 +83,9 @@ def test_what_sticks_is_cattaneos_part_of_the_load(share: float) -> None:
     lacking = np.sqrt(np.maximum(within - square, 0.0))
     sideways = GEL.friction * (pressure - lacking)
     force_n = np.column_stack([sideways, 0 * pressure, -pressure])
-    assert sticking_share(solution, replace(record, contact_force_n=force_n)) == pytest.approx(share, abs=0.01)
+    assert sticking_share(solution, replace(record, contact_force_n=force_n)) == pytest.approx(
+        share, abs=0.01
+    )
 
 
 def test_a_contact_that_was_dragged_is_not_taken_to_be_round() -> None:
