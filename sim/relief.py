@@ -75,10 +75,7 @@ def _opened(body: Surface, width_mm: float) -> Surface:
 
 @dataclass(frozen=True, eq=False)
 class Recesses:
-    """Depth (rows, columns) of a body's recesses; around each place the largest and the mean, and p* of the gel.
-
-    `shown` is 1 where they are waves that a membrane's grid shows, 0 where they are shorter.
-    """
+    """Depth (rows, columns) of recesses; around each place the largest, the mean, p*, and whether a grid shows them."""
 
     depth_mm: Floats
     deepest_mm: Floats
@@ -146,14 +143,13 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
         return rough * total / np.maximum(weight, 1e-3)
 
     # From place to place: over two of them short waves would look a third less steep.
-    steps = (np.diff(depth, axis=axis, append=0.0) for axis in (0, 1))
-    square = sum(step**2 for step in steps) / body.spacing_mm**2
+    square = sum(np.diff(depth / body.spacing_mm, axis=axis, append=0.0) ** 2 for axis in (0, 1))
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
     flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(square), 0.0) / 2)
     mean_mm = mean_around(depth)
     # A sinusoid's length is π E* a / p*; a grid shows no waves shorter than two spacings.
-    length = math.pi * stiffness_mpa * mean_mm / np.maximum(flattening_mpa, 1e-12) / GRID_SPACING_MM
-    shown = np.clip(length - 2, 0.0, 1.0)
+    length_mm = math.pi * stiffness_mpa * mean_mm / np.maximum(flattening_mpa, 1e-12)
+    shown = np.clip(length_mm / GRID_SPACING_MM - 2, 0.0, 1.0)
     return Recesses(depth, maximum_filter(depth, side), mean_mm, flattening_mpa, shown, body.spacing_mm)
 
 

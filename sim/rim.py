@@ -67,9 +67,8 @@ def twist_factor(solution: Solution, record: Record) -> float:
 def sticking_share(solution: Solution, record: Record) -> float:
     """Return the share of the normal force that sticks: of a ball's, from where friction is how far below its bound.
 
-    What friction lacks is spread as the pressure of a smaller contact, the part that sticks (Cattaneo 1938; Jäger 1998,
-    Arch. Appl. Mech. 68:416): their mean squares of the radius are as their areas. Vertices let go one by one, so that
-    their own share is off by 0.07 rms beside Cattaneo and Mindlin, this one by 0.03 (R 3 mm on 10, 24 drags).
+    What friction lacks is spread as the pressure of a smaller contact, the part that sticks (Cattaneo 1938): their mean
+    squares of the radius are as their areas. Vertices, which let go one by one, are off by 0.07 rms, this by 0.03.
     """
     problem, by_vertices = solution.problem, record.diagnostics.sticking_fraction
     curved = isinstance(problem.indenter, Sphere | Ellipsoid) and problem.static_friction is None

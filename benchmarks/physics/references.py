@@ -16,9 +16,8 @@ from gelgap.sim.shapes import AnyIndenter
 
 FORCE_UNCERTAINTY_PERCENT = 0.3
 DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx
-# Elements of 0.0125 and 0.025 mm differ by this, and from the tables by less (sphere of 3 mm on 3, 0.2 and 0.4 deep).
-RADIUS_UNCERTAINTY_PERCENT = 0.5
-# Gaps, the first of so many beside a contact, say where it ends; smaller ones are penetration.
+RADIUS_UNCERTAINTY_PERCENT = 0.5  # elements of 0.0125 mm differ by less
+# So many gaps beside a contact say where it ends; smaller ones are penetration.
 SMALLEST_GAP_MM, GAPS = 5e-4, 4
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
@@ -110,12 +109,8 @@ def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> d
         first, place = own.iloc[0], asset_path("reference", *profiles.format(name).split("/"))
         surface = np.genfromtxt(place, delimiter=",", skip_header=1)
         surfaces = tuple(surface[np.isclose(surface[:, 0], depth), 1:].T for depth in own["depth_mm"])
-        truth = Truth(
-            normal(own["fz_n"]),
-            uncertainty_percent=own["off_percent"].max(),
-            radius_mm=np.array(list(map(rim_mm, own["body"], own["depth_mm"], surfaces))),
-            profiles=surfaces,
-        )
+        radius_mm = np.array(list(map(rim_mm, own["body"], own["depth_mm"], surfaces)))
+        truth = Truth(normal(own["fz_n"]), "table", own["off_percent"].max(), radius_mm, surfaces)
         material = first[["young_modulus_mpa", "poisson_ratio", "thickness_mm", "strain_energy"]]
         elastomer = Elastomer(**material, **gel, friction=friction_of(first["contact"]))
         poses = tuple(map(Pose, own["depth_mm"]))
@@ -124,16 +119,12 @@ def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> d
 
 
 def rim_mm(body: AnyIndenter, depth_mm: float, profile: Floats) -> float:
-    """Return the deformed radius at which a profile (r, u_r, u_z) leaves a body: beside it the gap goes as (r − a)^1.5.
-
-    The last node that touches lies anywhere in its element, up to 3 % further out or in.
-    """
+    """Return the deformed radius at which a profile (r, u_r, u_z) leaves a body: the gap goes as (r − a)^1.5."""
     r_mm, u_r_mm, u_z_mm = profile
-    place_mm = r_mm + u_r_mm
-    above_mm = u_z_mm + depth_mm - body.origin_height_mm
-    gap_mm = body.project(np.stack([0 * place_mm, place_mm, above_mm], axis=-1)).distance_mm
-    beside = np.flatnonzero((gap_mm > SMALLEST_GAP_MM) & (place_mm > 0))[:GAPS]
-    slope, offset = np.polyfit(place_mm[beside], gap_mm[beside] ** (2 / 3), 1)
+    places_mm = np.stack([0 * r_mm, r_mm + u_r_mm, u_z_mm + depth_mm - body.origin_height_mm], axis=-1)
+    gap_mm = body.project(places_mm).distance_mm
+    beside = np.flatnonzero((gap_mm > SMALLEST_GAP_MM) & (r_mm > 0))[:GAPS]
+    slope, offset = np.polyfit(places_mm[beside, 1], gap_mm[beside] ** (2 / 3), 1)
     return float(-offset / slope)
 
 
