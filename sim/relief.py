@@ -15,6 +15,7 @@ import numpy as np
 from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.grading import is_served
 from gelgap.sim.indenter import Floats
+from gelgap.sim.membrane import GRID_SPACING_MM
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.surface import Surface
 
@@ -74,12 +75,13 @@ def _opened(body: Surface, width_mm: float) -> Surface:
 
 @dataclass(frozen=True, eq=False)
 class Recesses:
-    """Depth (rows, columns) of a body's recesses; around each place the largest and the mean, and p* of the gel."""
+    """Depth (rows, columns) of recesses; around each place the largest, the mean, p*, and whether a grid shows them."""
 
     depth_mm: Floats
     deepest_mm: Floats
     mean_mm: Floats
     flattening_mpa: Floats
+    shown: Floats
     spacing_mm: float
 
     def _at(self, from_origin_mm: Floats, bridging: Surface, *values: Floats) -> tuple[Floats, ...]:
@@ -111,11 +113,12 @@ class Recesses:
 
         Points are mm from the origin of `bridging`, turned as it is.
         """
-        depth, deepest, flattening = self._at(
-            from_origin_mm, bridging, self.depth_mm, self.deepest_mm, self.flattening_mpa
-        )
-        share = filled_share(depth / np.maximum(deepest, 1e-12), pressure_mpa / np.maximum(flattening, 1e-12))
-        return np.where(depth > 0, deepest * share, 0.0)[:, None] * bridging.axes[:, 2]
+        fields = self.depth_mm, self.deepest_mm, self.mean_mm, self.flattening_mpa, self.shown
+        depth, deepest, mean, flattening, shown = self._at(from_origin_mm, bridging, *fields)
+        load = np.clip(pressure_mpa / np.maximum(flattening, 1e-12), 1e-9, 1.0)
+        waves = np.where(depth > 0, deepest * filled_share(depth / np.maximum(deepest, 1e-12), load), 0.0)
+        level = mean * load * (1 - np.log(load))
+        return (shown * waves + (1 - shown) * level)[:, None] * bridging.axes[:, 2]
 
 
 @lru_cache(maxsize=4)
@@ -139,10 +142,15 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
         total, weight = (uniform_filter(uniform_filter(part, side), side) for part in (rough * values, rough))
         return rough * total / np.maximum(weight, 1e-3)
 
-    along_y, along_x = np.gradient(depth, body.spacing_mm)
+    # From place to place: over two of them short waves would look a third less steep.
+    square = sum(np.diff(depth / body.spacing_mm, axis=axis, append=0.0) ** 2 for axis in (0, 1))
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
-    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(along_x**2 + along_y**2), 0.0) / 2)
-    return Recesses(depth, maximum_filter(depth, side), mean_around(depth), flattening_mpa, body.spacing_mm)
+    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(square), 0.0) / 2)
+    mean_mm = mean_around(depth)
+    # A sinusoid's length is π E* a / p*; a grid shows no waves shorter than two spacings.
+    length_mm = math.pi * stiffness_mpa * mean_mm / np.maximum(flattening_mpa, 1e-12)
+    shown = np.clip(length_mm / GRID_SPACING_MM - 2, 0.0, 1.0)
+    return Recesses(depth, maximum_filter(depth, side), mean_mm, flattening_mpa, shown, body.spacing_mm)
 
 
 def filled_share(height: Floats, load: Floats) -> Floats:

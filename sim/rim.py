@@ -1,4 +1,4 @@
-"""Where a contact ends between two vertices of the mesh: its radius, and the torque that goes with it.
+"""Where a contact ends between two vertices of the mesh: its radius, the torque that goes with it, and what sticks.
 
 A vertex touches the indenter or it does not, so a mesh turns with a contact that is up to a fifth of a cell too wide or
 too narrow, and torque grows with the cube of the radius. The gap beside the contact says where it ends; how the torque
@@ -13,24 +13,23 @@ import numpy as np
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Sphere
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.shapes import Ellipsoid
 from gelgap.sim.solution import Record, Solution
 
 # The edge of the contact, over which the line is fitted, carries these shares of the normal force outside of it.
 _EDGE_SHARES = (0.02, 0.6)
-# Vertices up to this many cells outside of the outermost in contact say where the gap begins, by this power of it; up
-# to the second number where the first has no more than one ring of them, radii that differ by less than a share.
-_GAP_CELLS, _GAP_POWER = (1.25, 2.5), 2 / 3
+# Vertices up to this many cells outside of the outermost in contact say where the gap begins, by this power of it,
+# unless they are one ring: radii that differ by less than a share.
+_GAP_CELLS, _GAP_POWER = 2.0, 2 / 3
 _ONE_RING_SHARE = 1e-3
 # Below this a gap is a rounding error.
 _SMALLEST_GAP_MM = 1e-4
 # The membrane leaves the indenter this share of a cell further out than the gaps of its vertices say (presses of
 # sphere, cone and flat end), and a mesh's torque sits as much further in (sticking twists of a sphere on seven meshes).
-_BEYOND_GAP_CELLS, _BEYOND_TORQUE_CELLS = 0.10, 0.12
+_BEYOND_GAP_CELLS, _BEYOND_TORQUE_CELLS = 0.07, 0.06
 # The radius over the root mean square of those at which the torque acts: shear of a sticking twist grows as
 # r / sqrt(a² - r²) on a half-space (Reissner & Sagoci 1944), and by finite elements to 1 % on thin pads as well.
 _RADIUS_OVER_TORQUES = math.sqrt(1.25)
-# Cells this much smaller than the contact's radius leave a torque within 3 %, which the correction would not better.
-_RESOLVED_CELLS = 8.0
 # The mesh takes no contact of a sticking twist to be wider or narrower by more than this.
 _LARGEST_CORRECTION_SHARE = 0.2
 # A contact that was pushed sideways by more than this share of its normal force is not round.
@@ -47,7 +46,7 @@ def contact_radius_mm(solution: Solution, record: Record) -> float:
 def twist_factor(solution: Solution, record: Record) -> float:
     """Return by what a record's torque about the contact's axis is to be multiplied for where the contact ends.
 
-    It is 1 where cells are small beside the contact, half of the load slides, or the contact is not round.
+    It is 1 where half of the load slides, or the contact is not round.
     """
     radius_mm = None if solution.problem.symmetric else _gap_radius_mm(solution, record)
     if radius_mm is None:
@@ -59,13 +58,34 @@ def twist_factor(solution: Solution, record: Record) -> float:
     cell_mm = _cell_mm(solution.problem, radius_mm)
     turned_mm = _RADIUS_OVER_TORQUES * math.sqrt(max(mean_square, 0.0)) + _BEYOND_TORQUE_CELLS * cell_mm
     # Without a twist, torque is noise.
-    if (
-        radius_mm > _RESOLVED_CELLS * cell_mm
-        or abs(turned_mm - radius_mm) > _LARGEST_CORRECTION_SHARE * radius_mm
-    ):
+    if abs(turned_mm - radius_mm) > _LARGEST_CORRECTION_SHARE * radius_mm:
         return 1.0
     sticks = max(0.0, 2 * record.diagnostics.sticking_fraction - 1)
     return (radius_mm / turned_mm) ** (3 * sticks)
+
+
+def sticking_share(solution: Solution, record: Record) -> float:
+    """Return the share of the normal force that sticks: of a ball's, from where friction is how far below its bound.
+
+    What friction lacks is spread as the pressure of a smaller contact, the part that sticks (Cattaneo 1938): their mean
+    squares of the radius are as their areas. Vertices, which let go one by one, are off by 0.07 rms, this by 0.03.
+    """
+    problem, by_vertices = solution.problem, record.diagnostics.sticking_fraction
+    curved = isinstance(problem.indenter, Sphere | Ellipsoid) and problem.static_friction is None
+    if not curved or not 0 < by_vertices < 1:
+        return by_vertices
+    places_mm = solution.rest_of(record) + record.displacement_mm[:, :2]
+    normal_n = np.maximum(record.normal_force_n.astype(float), 0.0)
+    square_n2 = (record.contact_force_n.astype(float) ** 2).sum(axis=1)
+    lacking_n = problem.friction * normal_n - np.sqrt(np.maximum(square_n2 - normal_n**2, 0.0))
+
+    def mean_square_mm2(force_n: Floats) -> float:
+        # The other half of a symmetric contact has its centre on the other side.
+        centre_mm = (force_n @ places_mm) / force_n.sum() * [1.0, not problem.symmetric]
+        return force_n @ ((places_mm - centre_mm) ** 2).sum(axis=1) / force_n.sum()
+
+    areas = mean_square_mm2(np.maximum(lacking_n, 0.0)) / mean_square_mm2(normal_n)
+    return float(1 - max(0.0, 1 - areas) ** 1.5)
 
 
 def _cell_mm(problem: ContactProblem, radius_mm: float) -> float:
@@ -104,11 +124,8 @@ def _gap_radius_mm(solution: Solution, record: Record) -> float | None:
     outermost_mm = float(distance_mm[touching].max())
     cell_mm = _cell_mm(problem, outermost_mm)
     free = ~touching & (gap_mm > _SMALLEST_GAP_MM)
-    for cells in _GAP_CELLS:
-        beside = free & (distance_mm < outermost_mm + cells * cell_mm)
-        if np.count_nonzero(beside) > 2 and np.ptp(distance_mm[beside]) > _ONE_RING_SHARE * outermost_mm:
-            break
-    else:
+    beside = free & (distance_mm < outermost_mm + _GAP_CELLS * cell_mm)
+    if np.count_nonzero(beside) < 3 or np.ptp(distance_mm[beside]) < _ONE_RING_SHARE * outermost_mm:
         return None
     slope, offset = np.polyfit(distance_mm[beside], gap_mm[beside] ** _GAP_POWER, 1)
     radius_mm = -offset / slope + _BEYOND_GAP_CELLS * cell_mm if slope > 0 else 0.0

@@ -16,6 +16,9 @@ from gelgap.sim.shapes import AnyIndenter
 
 FORCE_UNCERTAINTY_PERCENT = 0.3
 DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx
+RADIUS_UNCERTAINTY_PERCENT = 0.5  # elements of 0.0125 mm differ by less
+# So many gaps beside a contact say where it ends; smaller ones are penetration.
+SMALLEST_GAP_MM, GAPS = 5e-4, 4
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
 WIDE_PAD_MM = (60.0, 60.0)
@@ -35,7 +38,7 @@ def press_cases() -> dict[str, Case]:
     rows = rows.assign(
         body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
         strain_energy=np.where(isochoric, "isochoric", "stable-neo-hookean"),
-        off_percent=rows.eval("50 * (contact_radius_high_mm - contact_radius_low_mm) / contact_radius_mm"),
+        off_percent=RADIUS_UNCERTAINTY_PERCENT,
     )
     return tabled_cases("presses", rows, "profiles/{}.csv")
 
@@ -43,8 +46,7 @@ def press_cases() -> dict[str, Case]:
 def tabled_sphere() -> Case:
     """Return the press of a sphere of 8 mm diameter on 3 mm of gel."""
     rows = second_model("spheres/forces.csv").query("case == @TABLED_SPHERE")
-    # The true radius lies between the last node that touches and the next.
-    rows = rows.assign(off_percent=50 * rows["element_mm_fine"] / rows["contact_radius_mm"])
+    rows = rows.assign(off_percent=RADIUS_UNCERTAINTY_PERCENT)
     return tabled_cases("presses", rows, "spheres/{}_profile.csv")[TABLED_SPHERE]
 
 
@@ -54,7 +56,7 @@ def held_back_cases() -> dict[str, Case]:
     rows = rows.assign(
         body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
         strain_energy="isochoric",
-        off_percent=rows.eval("25 * element_mm / contact_radius_mm"),
+        off_percent=RADIUS_UNCERTAINTY_PERCENT,
     )
     return tabled_cases("held back", rows, "spheres/{}_profile.csv")
 
@@ -83,7 +85,6 @@ def second_model(place: str) -> pd.DataFrame:
         body=list(map(body_of, rows.itertuples())),
         strain_energy="isochoric",
         fz_n=-rows["F_fine"],
-        contact_radius_mm=rows["contact_radius_now_mm"] + rows["element_mm_fine"] / 2,
     )
 
 
@@ -107,17 +108,24 @@ def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> d
     for name, own in rows.groupby("case", sort=False):
         first, place = own.iloc[0], asset_path("reference", *profiles.format(name).split("/"))
         surface = np.genfromtxt(place, delimiter=",", skip_header=1)
-        truth = Truth(
-            normal(own["fz_n"]),
-            uncertainty_percent=own["off_percent"].max(),
-            radius_mm=own["contact_radius_mm"].to_numpy(),
-            profiles=tuple(surface[np.isclose(surface[:, 0], depth), 1:].T for depth in own["depth_mm"]),
-        )
+        surfaces = tuple(surface[np.isclose(surface[:, 0], depth), 1:].T for depth in own["depth_mm"])
+        radius_mm = np.array(list(map(rim_mm, own["body"], own["depth_mm"], surfaces)))
+        truth = Truth(normal(own["fz_n"]), "table", own["off_percent"].max(), radius_mm, surfaces)
         material = first[["young_modulus_mpa", "poisson_ratio", "thickness_mm", "strain_energy"]]
         elastomer = Elastomer(**material, **gel, friction=friction_of(first["contact"]))
         poses = tuple(map(Pose, own["depth_mm"]))
         cases[name] = Case(study, name, elastomer, poses, indenter=first["body"], truth=truth)
     return cases
+
+
+def rim_mm(body: AnyIndenter, depth_mm: float, profile: Floats) -> float:
+    """Return the deformed radius at which a profile (r, u_r, u_z) leaves a body: the gap goes as (r − a)^1.5."""
+    r_mm, u_r_mm, u_z_mm = profile
+    places_mm = np.stack([0 * r_mm, r_mm + u_r_mm, u_z_mm + depth_mm - body.origin_height_mm], axis=-1)
+    gap_mm = body.project(places_mm).distance_mm
+    beside = np.flatnonzero((gap_mm > SMALLEST_GAP_MM) & (r_mm > 0))[:GAPS]
+    slope, offset = np.polyfit(places_mm[beside, 1], gap_mm[beside] ** (2 / 3), 1)
+    return float(-offset / slope)
 
 
 def across_cases() -> tuple[Case, ...]:

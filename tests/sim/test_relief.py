@@ -5,20 +5,20 @@ import pytest
 
 from gelgap.sim import Elastomer, MembraneState, Pose, Surface, solve_pose
 from gelgap.sim.plan import plan_visit
-from gelgap.sim.relief import filled_share, unbridged
+from gelgap.sim.relief import filled_share, recesses_of, unbridged
 
 SPACING_MM, HALF_MM, RIM_MM = 0.04, 2.4, 0.6
 LENGTH_MM = 0.4
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, thickness_mm=3.0, friction=0.1)
 
 
-def punch(amplitude_mm: float) -> Surface:
+def punch(amplitude_mm: float, length_mm: float = LENGTH_MM) -> Surface:
     """A square punch with a round rim, and waves along x cut into its face."""
     count = round(HALF_MM / SPACING_MM)
     place = np.arange(-count, count + 1) * SPACING_MM
     x, y = np.meshgrid(place, place)
     face = HALF_MM - RIM_MM
-    heights = amplitude_mm * (1 - np.cos(2 * np.pi * x / LENGTH_MM)) * (np.abs(x) < face)
+    heights = amplitude_mm * (1 - np.cos(2 * np.pi * x / length_mm)) * (np.abs(x) < face)
     beyond = np.hypot(*(np.maximum(np.abs(along) - face, 0.0) for along in (x, y)))
     rise = RIM_MM - np.sqrt(np.maximum(RIM_MM**2 - beyond**2, 0.0))
     return Surface.of(np.where(beyond < RIM_MM, heights + rise, np.inf), SPACING_MM, height_mm=2.0)
@@ -73,6 +73,18 @@ def test_waves_make_a_punch_lighter_as_finite_elements_do(waves: MembraneState) 
     assert share == pytest.approx(0.855, abs=0.03)
     assert not waves.diagnostics.coarse
     assert 0.01 < waves.error.force_n[2] / abs(waves.force_n[2]) < 0.03
+
+
+@pytest.mark.parametrize(("length_mm", "shown"), [(0.16, 0.0), (0.4, 1.0)])
+def test_waves_too_short_for_the_grid_are_put_in_by_their_mean(length_mm: float, shown: float) -> None:
+    # Sampled every 0.1 mm, waves of 0.16 mm would be waves of 0.27.
+    problem = plan_visit(GEL, punch(0.02, length_mm), (Pose(depth_mm=0.15),), "draft").solves[0].problem
+    found = recesses_of(problem)
+    assert np.median(found.shown[found.depth_mm > 0]) == shown
+    x = np.arange(0.0, 1.2, 0.1)
+    points = np.stack([x, 0 * x, np.full_like(x, -problem.indenter.origin_height_mm)], axis=-1)
+    filled_mm = found.fill(points, problem.indenter, np.full(len(x), 0.02))[:, 2]
+    assert np.ptp(filled_mm) / filled_mm.mean() < 0.1 or shown
 
 
 def test_waves_that_the_mesh_serves_are_bridged_all_the_same() -> None:
