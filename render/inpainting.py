@@ -123,8 +123,8 @@ def _march(start, waits, arrival):
     order = np.empty(len(start) + np.count_nonzero(waits), np.int64)
     heap = np.empty(len(order), np.int64)
     found = size = len(start)
-    order[:found] = start
-    heap[:found] = np.arange(found)
+    for k in range(found):
+        order[k], heap[k] = start[k], k
     while size > 0:
         at = order[_pop(heap, size) & 0xFFFFFFFF]
         size -= 1

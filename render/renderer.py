@@ -26,7 +26,7 @@ RASTER_STEPS_PER_MM = 55.0
 
 Quality = Literal["draft", "standard", "fine"]
 LOG = logging.getLogger(__name__)
-FIRST_USE = "numba compiles the renderer, which takes a minute the first time on a machine"
+FIRST_USE = "numba compiles the renderer, which takes some ten seconds the first time on a machine"
 
 # By quality level the spacing of the shaded grid in mm, and how finely shadows are sampled.
 QUALITIES: dict[str, tuple[float, ShadowDetail]] = {

@@ -294,11 +294,10 @@ def _in_cells(positions, j, i, grid):
 def _world_heights(positions, changed, grid, height):
     """Raster the deformed surface onto the lattice's own points; return how many triangles are folded.
 
-    Where nothing changed, a vertex still stands on its own point.
+    `height` holds −z of the vertices at first: where nothing changed, a vertex still stands on its own point.
     """
     rows, columns, _ = positions.shape
     folded = 0
-    height[:, :] = -positions[:, :, 2]
     for j in range(rows - 1):
         for i in range(columns - 1):
             if not (changed[j, i] or changed[j, i + 1] or changed[j + 1, i] or changed[j + 1, i + 1]):
@@ -341,7 +340,7 @@ def deformed_surface(lattice: Lattice, displacement_mm: np.ndarray, name: str) -
     positions[:] = displacement_mm
     positions[..., 0] = displacement_mm[..., 0] + lattice.x_mm
     positions[..., 1] = displacement_mm[..., 1] + lattice.y_mm[:, None]
-    height = np.empty((lattice.rows, lattice.columns), np.float32)
+    height = np.negative(positions[..., 2], order="C")
     normals, changed = np.empty_like(positions), np.empty(height.shape, bool)
     _normals_and_changed(positions, columns_mm, rows_mm, normals, changed)
     folded = _world_heights(positions, changed, lattice.grid, height)

@@ -264,9 +264,10 @@ def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _gloss(surface, light, camera_mm, coat, leds, stride, out):
+def _gloss(surface, light, camera_mm, coat, leds, whole, stride, out):
     """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden.
 
+    `whole` are the visible parts (strips, 2) of an LED of which nothing is hidden.
     Where the surface is nearly flat, light in full view is computed for every stride-th vertex and interpolated, and
     what is partly hidden is the visible share of it.
     """
@@ -274,8 +275,6 @@ def _gloss(surface, light, camera_mm, coat, leds, stride, out):
     changed = surface.changed
     rows, columns = changed.shape
     count = len(leds.is_point)
-    whole = np.zeros((np.diff(leds.first_strip).max(), 2), np.float32)
-    whole[:, 1] = one
     gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
     coarse = np.empty((*gentle.shape, count, 2), np.float32)
     _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse)
@@ -302,10 +301,11 @@ def _gloss(surface, light, camera_mm, coat, leds, stride, out):
                 if share == one and not changed[j, i]:
                     continue
                 if light.irradiance[j, i, led] == zero:
-                    out[j, i, led] = zero
+                    out[j, i, led, 0], out[j, i, led, 1] = zero, zero
                     continue
                 if share > zero and not changed[j, i]:
-                    out[j, i, led] *= share
+                    for k in range(2):
+                        out[j, i, led, k] *= share
                     continue
                 if share > zero and not leds.is_point[led]:
                     if smooth:
@@ -348,5 +348,6 @@ def gloss(
     coat = rough_plastic(roughness)
     coat = coat._replace(base_scale=np.float32(coat.base_scale))  # all in single precision, for speed
     stride = smooth_stride(surface.grid.spacing_mm)
-    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, stride, out)
+    whole = np.tile(np.float32([0, 1]), (leds.most_strips, 1))
+    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, whole, stride, out)
     return out

@@ -126,10 +126,11 @@ def _coarse_irradiance(surface, leds, reference, stride, smooth, ratio):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
+def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share, known):
     """Overwrite out[row, column, led] (irradiance per unit radiance, sr) where the surface changed or may be shadowed.
 
-    Fill in the visible `share`, and return the visible parts, both as `DirectLight` has them.
+    Fill in the visible `share`, 1 at first, and return the visible parts, both as `DirectLight` has them; `known` is
+    room for parts.
 
     Only every fourth vertex surely walks to the horizon; then every second, then all. Vertices are skipped where those
     around them see the whole LED, and, where the surface is nearly flat and so the shadow soft, every second vertex
@@ -143,8 +144,7 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
     occluders = find_occluders(surface, leds.outlines)
-    found, known = 0, np.empty((1024, np.diff(leds.first_strip).max(), 2), np.float32)
-    share[:] = one
+    found = 0
     cell = max(smooth_stride, 1)
     smooth = np.zeros(((rows - 1) // cell + 1, (columns - 1) // cell + 1, count), np.bool_)
     ratio = np.empty(smooth.shape, np.float32)
@@ -230,6 +230,6 @@ def direct_light(
     else:
         irradiance = reference.copy()
         stride = smooth_stride(surface.grid.spacing_mm)
-    visible = np.empty_like(irradiance)
-    parts = _irradiance(surface, leds, np.float32(detail.march_step_mm), stride, irradiance, visible)
+    visible, room = np.ones_like(irradiance), np.empty((1024, leds.most_strips, 2), np.float32)
+    parts = _irradiance(surface, leds, np.float32(detail.march_step_mm), stride, irradiance, visible, room)
     return DirectLight(irradiance, visible, parts)

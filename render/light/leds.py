@@ -214,6 +214,11 @@ class LedSamples(NamedTuple):
     nodes: Nodes
     outlines: Outlines
 
+    @property
+    def most_strips(self) -> int:
+        """How many strips the LED with most of them has."""
+        return int(np.diff(self.first_strip).max())
+
 
 def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
     """Return the strips, nodes and outlines of emitters."""
