@@ -235,6 +235,13 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
             f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
             f"code values rms by diameter: {', '.join(f'{diameter:.2f}: {rms:.1f}' for diameter, rms in tried)}"
         )
+    height_px, width_px, _ = fit.maps.ratio.shape
+    width_mm, height_mm = fit.sensor.camera.footprint_mm((width_px, height_px))
+    taken = "scale is" if fit.sphere_size else "scale and the ball are"
+    lines.append(
+        f"the {taken} taken on trust, since pictures of one ball hold neither: {width_mm / width_px:.4g} mm per px, "
+        f"{width_mm:.1f} × {height_mm:.1f} mm in view"
+    )
     if fit.left_out:
         lines.append(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
     if fit.held_out:
@@ -303,6 +310,11 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
     from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
 
     warnings = []
+    if (size := fit.sphere_size) and not size.is_determined:
+        warnings.append(
+            f"the pictures do not determine the ball's size: {size.interval_mm[0]:.2f} to {size.interval_mm[1]:.2f} mm "
+            f"explain them about as well as {size.diameter_mm:.2f} mm; measure it, and give --ball-mm"
+        )
     if fit.rms_code_values > DOUBTFUL_RMS:
         warnings.append(
             f"a residual of {fit.rms_code_values:.2f} code values is not a good fit (above {DOUBTFUL_RMS:g}): check "

@@ -40,6 +40,7 @@ _PRESSES_FOR_SIZE = 12
 # Radii that may be tried, in radii of the marked imprint: a mark is between a third and three times the sphere.
 RADII_IN_MARKS = 2.0 ** np.arange(-5 / 3, 5 / 3 + 0.01, 1 / 3)
 _BETWEEN = 2.0 ** (1 / 6)
+_EXCLUDED_RMS, _DETERMINED = 1.15, 4 / 3
 _SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 
 
@@ -64,8 +65,9 @@ class HeldOut:
 class SphereSize:
     """Diameters that were tried, what each leaves unexplained, the best, and the interval that it lies in.
 
-    The interval's ends are the nearest sizes tried that are worse: their mean square over presses exceeds the best's by
-    two standard errors of the difference, or they are the last ones tried.
+    The interval's ends are the nearest sizes tried that are excluded, or the last ones that were tried. A size is
+    excluded if it leaves 1.15 times the best's rms or more: on real sensors wrong sizes have left 0.87 times the right
+    one's. And its mean square over presses must exceed the best's by two standard errors of the difference.
     """
 
     __repr__ = one_line
@@ -74,6 +76,11 @@ class SphereSize:
     rms_code_values: np.ndarray  # (sizes,)
     diameter_mm: float
     interval_mm: tuple[float, float]
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the interval's ends are at most a third apart."""
+        return self.interval_mm[1] <= _DETERMINED * self.interval_mm[0]
 
 
 @dataclass(frozen=True)
@@ -477,7 +484,10 @@ def fit_sphere_size(
         )
     tried = np.array(sorted(errors))
     worse = np.array([errors[d] - errors[best] for d in tried])
-    like = np.flatnonzero(worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
-    interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
     rms = np.sqrt([errors[d].mean() for d in tried])
+    like = np.flatnonzero(
+        (worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
+        | (rms < _EXCLUDED_RMS * rms.min())
+    )
+    interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
     return SphereSize(tried, rms, best, tuple(map(float, interval)))

@@ -125,6 +125,15 @@ def test_a_second_imprint_and_a_press_unlike_the_others_are_named(folder: Path) 
     assert re.search(r"a second imprint: [^;]*\ba\.png", said)
 
 
+def test_a_blurred_and_a_stretched_picture_are_named(folder: Path) -> None:
+    cv2.imwrite(str(folder / "a.png"), cv2.GaussianBlur(cv2.imread(str(folder / "a.png")), (0, 0), 3.0))
+    stretched = cv2.resize(cv2.imread(str(folder / "d.png")), None, fx=1.3, fy=1.0)[:, 24:184]
+    cv2.imwrite(str(folder / "d.png"), stretched)
+    said = "; ".join(mark_presses(folder, BALL_MM, mm_per_px(), folder / "g.png").doubts)
+    assert "as if out of focus or stretched: a.png" in said
+    assert re.search(r"stretched: a\.png(,| and) d\.png|as if the camera had moved: d\.png", said)
+
+
 def test_of_a_video_rest_and_the_stillest_picture_of_each_press_are_taken(
     pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -496,6 +496,19 @@ def test_a_size_that_no_picture_holds_is_refused():
         fit_sphere_size(1.0, ball_profiles, lambda own: np.full(3, own.sphere_radius_mm))
 
 
+def test_a_size_that_explains_nearly_as_well_is_not_excluded():
+    # Errors of FOTS by diameter; the smallest ball leaves no such mark.
+    rms = {3.74: 255.0, 4.71: 255.0, 5.29: 4.5, 5.93: 4.1, 6.66: 4.2, 7.47: 4.2}
+
+    def errors(own):
+        nearest = min(rms, key=lambda tried: abs(tried - 2 * own.sphere_radius_mm))
+        return np.full(4, rms[nearest] ** 2)
+
+    size = fit_sphere_size(4.71 / 2, ball_profiles, errors)
+    assert size.interval_mm[0] < 5.0
+    assert not size.is_determined
+
+
 def test_a_blurring_camera_sees_a_blurred_dent(pictures):
     start, reference, shots = pictures
     camera = start.camera.model_copy(update={"point_spread_px": 8.0})
