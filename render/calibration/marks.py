@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.render.calibration.pictures import cubic_of_normal
 from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots, radii_away
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.light.scattered import monomials
+from gelgap.render.normal_table import cubic_of_normal
 
 _WIDEST_PX = 640  # pictures are looked at no larger
 _LEAST_CHANGE = 5.0  # code values

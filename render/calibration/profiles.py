@@ -89,18 +89,6 @@ class PressProfiles:
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
         return z, np.where(inside, of_sphere, np.gradient(z, STEP_MM))
 
-    def scaled(self, factor: float) -> "PressProfiles":
-        """Return the profiles around a sphere `factor` times as large, in a gel as many times as thick."""
-        r = STEP_MM * np.arange(self.z_mm.shape[1])
-        radii = np.arange(0, factor * r[-1] + STEP_MM / 2, STEP_MM)
-        return PressProfiles(
-            factor * self.sphere_radius_mm,
-            factor * self.depths_mm,
-            factor * np.array([np.interp(radii / factor, r, row) for row in self.z_mm]),
-            factor * self.edges_mm,
-            factor * self.contact_radii_mm,
-        )
-
     def contact_radius_mm(self, depth_mm: float) -> float:
         """Return the contact's radius at a depth: a smooth curve through the solves'."""
         return float(np.interp(depth_mm, *self._smooth_radii()))

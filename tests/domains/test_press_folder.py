@@ -31,8 +31,9 @@ def profiles(diameters: set[float]) -> dict[float, PressProfiles]:
     for depth in (0.2, 0.4, 0.6, 0.8, 1.0):
         x, y, displacement = sphere_dent(depth, half_extent_mm=EXTENT_MM)
         along = displacement[len(y) // 2, len(x) // 2 :, 2]
-        solves.append(SolvedPress(depth, x[len(x) // 2 :], along, (depth * BALL_MM / 2) ** 0.5))
-    return {diameter_mm: PressProfiles.from_solves(BALL_MM / 2, solves).scaled(scale)}
+        sizes = (scale * size for size in (depth, x[len(x) // 2 :], along, (depth * BALL_MM / 2) ** 0.5))
+        solves.append(SolvedPress(*sizes))
+    return {diameter_mm: PressProfiles.from_solves(diameter_mm / 2, solves)}
 
 
 @pytest.fixture(scope="module")
