@@ -137,10 +137,8 @@ def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
     unlike = [name for name, mark in found.items() if mark.detail < least and name not in moved]
     doubts = []
     if unlike:
-        doubts.append(
-            "without the dust and seams that the reference and the other pictures have, as if out of focus or "
-            f"stretched: {comma_list(unlike)}"
-        )
+        named = comma_list(unlike)
+        doubts.append(f"without the reference's dust and seams, as if out of focus or stretched: {named}")
     if bad:
         doubts.append(f"not like the other dents of a ball, so look at mark and picture: {comma_list(bad)}")
     if second:

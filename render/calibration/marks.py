@@ -256,7 +256,7 @@ def find_marks(
     return found
 
 
-def _shift_and_detail(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -> tuple[float, float]:
+def _moved(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -> tuple[float, float]:
     """Return by how many pixels dust and seams beyond a dent are shifted, by phase correlation, and their share left.
 
     The share is the slope of the picture's detail over the reference's, which noise makes less than 1 in any picture.
@@ -288,7 +288,7 @@ def _mark(
     size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()
-    shift_px, detail = _shift_and_detail(picture, reference, pose_px)
+    shift_px, detail = _moved(picture, reference, pose_px)
     return FoundMark(
         center_px=(x, y),
         radius_px=radius,

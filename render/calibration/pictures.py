@@ -177,10 +177,7 @@ def check_press(shape: tuple[int, ...], name: str, press: PressPicture) -> None:
     elif (depth_mm is None) == (press.radius_px is None):
         wrong = " must have either depth_mm or radius_px"
     elif diameter_mm is None:
-        wrong = (
-            " must have sphere_diameter_mm, by --ball-mm for all presses: measure it, since pictures of one ball do "
-            "not hold its size"
-        )
+        wrong = " must have sphere_diameter_mm, by --ball-mm for all: pictures do not hold it, so measure it"
     elif diameter_mm <= 0:
         wrong = f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
     elif depth_mm is not None and not 0 < depth_mm < diameter_mm / 2:

@@ -93,10 +93,6 @@ class PressProfiles:
         """Return the contact's radius at a depth: a smooth curve through the solves'."""
         return float(np.interp(depth_mm, *self._smooth_radii()))
 
-    def reaches(self, contact_radius_mm: float) -> bool:
-        """Return whether the deepest press has a contact of a radius, or nearly."""
-        return contact_radius_mm <= 1.08 * self._smooth_radii()[1][-1]
-
     def depth_mm(self, contact_radius_mm: float) -> float:
         """Return the depth at which the contact has a radius.
 
@@ -106,7 +102,7 @@ class PressProfiles:
             If the sphere's cap cannot reach that radius.
         """
         depths, radii = self._smooth_radii()
-        if not self.reaches(contact_radius_mm):
+        if contact_radius_mm > 1.08 * radii[-1]:
             raise ValueError(
                 f"a contact of radius {contact_radius_mm:.2f} mm is marked, and a sphere of radius "
                 f"{self.sphere_radius_mm:g} mm reaches {radii[-1]:.2f} mm at most; check sphere_diameter_mm, radius_px "
