@@ -28,8 +28,6 @@ HELD_OUT = {
 ASSUMED = (
     "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
 )
-# By so much may a table of normals be better.
-DOUBTFUL_DB = 2.0
 DIFFERENCE_GAIN = 4
 # Contacts in balls' diameters: 0.62 to 0.9 in the published sets; 0.33 to 0.53 with a ball or scale off by two.
 LEAST_CONTACT = 0.55
@@ -63,7 +61,7 @@ class Calibrate(opt.Command):
     depth_mm is how far the sphere was pressed in after it touched. radius_px is the circle in which gel touches it;
     what depth that takes is solved, since gel sinks in around a sphere: the depth by geometry is too small.
 
-    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are found in the dents and fitted
+    Measure ball and scale: pictures hold neither. LEDs are found in the dents and fitted
     together with all else. Prints how presses that a fit has not seen are predicted as marked; a fit that is worse than
     the unchanged reference, inside or around the contact, is refused.
 
@@ -229,18 +227,20 @@ def doubt_of_scale(camera: "render.Camera", presses: "Sequence[render.PressPictu
 def report_lines(fit: "render.LightCalibration") -> list[str]:
     """Return how well a fit predicts presses that it has not seen, and what it found."""
     lines = [f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses"]
-    if size := fit.sphere_size:
-        tried = zip(size.tried_mm, size.rms_code_values, strict=True)
-        lines.append(
-            f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
-            f"code values rms by diameter: {', '.join(f'{diameter:.2f}: {rms:.1f}' for diameter, rms in tried)}"
-        )
+    height_px, width_px, _ = fit.maps.ratio.shape
+    width_mm, height_mm = fit.sensor.camera.footprint_mm((width_px, height_px))
+    lines.append(
+        "scale and ball are taken on trust, since pictures of one ball hold neither: "
+        f"{width_mm / width_px:.4g} mm per px, {width_mm:.1f} × {height_mm:.1f} mm in view"
+    )
     if fit.left_out:
         lines.append(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
     if fit.held_out:
         lines.append(
             f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
         )
+        share = fit.sensor.table_share
+        lines.append(f"  predicts with {1 - share:.0%} modelled light, {share:.0%} table of normals")
     for kind, what in HELD_OUT.items() if fit.held_out else ():
         inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in _levels(fit, kind))
         lines.append(f"  {what:32s} inside the contact {inside}, from one to two radii {ring}")
@@ -314,13 +314,6 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
             f"a press is predicted worse than by the unchanged reference: {_worst(fit)[1]}; look at its picture among "
             "those of the held-out presses, and mark it anew or leave it out of the list"
         )
-    predicted = zip(("inside", "around"), _levels(fit, "table"), _levels(fit, "marked"), strict=False)
-    for where, table, marked in predicted:
-        if (better := median(table) - median(marked)) > DOUBTFUL_DB:
-            warnings.append(
-                f"{where} the contact a table of normals predicts {better:.1f} dB better: check spheres' diameters, "
-                "scale and marks; if they are right, the sensor has light or shadows that the fit lacks"
-            )
     return warnings
 
 
@@ -346,7 +339,7 @@ def held_out_pairs(
     from gelgap.render.calibration.pictures import press_names
 
     pictures = {name: press.picture for name, press in zip(press_names(presses), presses, strict=True)}
-    return [(pictures[press.name], press.draw()) for press in fit.held_out]
+    return [(pictures[press.name], press.picture) for press in fit.held_out]
 
 
 def write_comparisons(

@@ -22,8 +22,9 @@ NAMES = ("gelsight", "gelsight_mini")
 PACK = "dataPack.npz"
 MM_PER_PX = 0.0295
 BALL_DIAMETER_MM = 4.0
-# Marks of the Mini's set are off by up to 20 px and go round the whole dent; what its ball was is not said.
-ROUGH_SETS = ("gelsight_mini",)
+# Marks of the Mini's set are off by up to 20 px and go round the whole dent; what its ball was is not said, and 1.4 mm
+# assumed, as in the preset.
+ROUGH_SETS, ROUGH_BALL_DIAMETER_MM = ("gelsight_mini",), 1.4
 ROUGH_MARKS_OFF_PX = 20.0
 # Their pictures are blurred: by how much was chosen by presses held out among the even ones.
 ROUGH_POINT_SPREAD_PX = 1.7
@@ -86,7 +87,7 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
     presses = tuple(
         PressPicture(
             picture[..., ::-1].copy(),
-            None if rough else BALL_DIAMETER_MM,
+            ROUGH_BALL_DIAMETER_MM if rough else BALL_DIAMETER_MM,
             radius_px=float(radius),
             center_px=(float(x), float(y)),
             name=f"press {number}",

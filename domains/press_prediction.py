@@ -15,7 +15,6 @@ from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
 from gelgap.render import MembraneRenderer, PressPicture, Sensor
 from gelgap.render.calibration.pictures import (
     ListedPress,
-    NormalTable,
     PressList,
     check_press,
     read_press_list,
@@ -32,6 +31,7 @@ from gelgap.render.calibration.poses import (
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import load_maps
 from gelgap.render.imaging import psnr_db
+from gelgap.render.normal_table import NormalTable
 from gelgap.sim import Indenter, Pose, load_indenter, solve_pose
 from gelgap.sim.plan import plan_visit
 

@@ -206,7 +206,8 @@ class DomainRecipe(Settings):
             if not getattr(self, name)
         }
         # What a sensor's fit keeps for predicting marked presses is nothing that a domain depends on.
-        return self.model_dump(mode="json", exclude=absent | {"sensor": {"marks_off", "normal_table"}})
+        unused = {"marks_off"} if self.sensor.table_share > 0 else {"marks_off", "normal_table"}
+        return self.model_dump(mode="json", exclude=absent | {"sensor": unused})
 
     @property
     def key(self) -> str:

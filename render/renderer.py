@@ -14,6 +14,7 @@ from gelgap.render.light.irradiance import DirectLight, direct_light
 from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.markers import marker_cells, paint_markers
+from gelgap.render.normal_table import NormalTable, TableShare
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
 from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
@@ -81,6 +82,7 @@ class MembraneRenderer:
         self._set_colours(illumination)
         self._set_scattered(illumination)
         self._set_leds(illumination)
+        self._set_table(illumination)
 
     def __repr__(self) -> str:
         width, height = self.size_px
@@ -101,6 +103,7 @@ class MembraneRenderer:
             other._set_scattered(illumination)
         if [led.face for led in illumination.leds] != [led.face for led in before.leds]:
             other._set_leds(illumination)
+        other._set_table(illumination)
         return other
 
     def _set_colours(self, illumination: Illumination) -> None:
@@ -123,6 +126,17 @@ class MembraneRenderer:
         light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if self.sensor.coating.specular > 0 else None
+
+    def _set_table(self, illumination: Illumination) -> None:
+        """Prepare the share of the sensor's table of normals, which holds under its own light alone."""
+        self._table, sensor = None, self.sensor
+        if sensor.table_share == 0 or illumination != sensor.illumination:
+            return
+        surface = self._surface_on_lattice(self._flat, "reference")
+        flat = self._gather(self._geometry(surface), self._radiance(surface))
+        table = NormalTable(np.array(sensor.normal_table), sensor.camera.footprint_mm(self.size_px)[0] / 2)
+        untouched = self._linear(surface, markers=False)
+        self._table = TableShare(table, sensor.table_share, sensor.camera, flat, untouched)
 
     def _gloss(self, surface: Surface, light: DirectLight, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
@@ -160,6 +174,8 @@ class MembraneRenderer:
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
         geometry = self._geometry(surface)
         linear = self._gather(geometry, self._radiance(surface))
+        if self._table is not None:
+            self._table.mix_into(linear, self._gather(geometry, surface.normals))
         if markers and self._marker_cells is not None:
             paint_markers(geometry, *self._marker_cells, self._marker_ratio, linear)
         if self._gain is not None:

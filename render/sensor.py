@@ -234,8 +234,23 @@ class Sensor(PresetSettings):
         repr=False,
         min_length=27,
         max_length=27,
-        description="change in code values by the membrane's normal and place, which predictions are compared with",
+        description="change in code values by the membrane's normal and place, as measured on the untouched sensor",
     )
+    table_share: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        exclude_if=lambda value: value == 0,
+        description="how much of a picture under the sensor's own light the table of normals says, the rest the light",
+    )
+
+    @model_validator(mode="after")
+    def _check_share(self) -> Self:
+        if self.table_share > 0 and (self.normal_table is None or self.flat_field is None):
+            raise ValueError(
+                f"table_share = {self.table_share:g} must be 0 without normal_table and flat_field"
+            )
+        return self
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         yield None, self.name

@@ -79,4 +79,5 @@ def vary_sensor(sensor: Sensor, variation: Variation, rng: np.random.Generator) 
     coating = sensor.coating.model_copy(update={"albedo": tuple(albedo.tolist())})
     own = sensor.illumination
     illumination = vary_illumination(own, variation, rng) if own is not None else None
-    return sensor.model_copy(update={"coating": coating, "illumination": illumination})
+    # A table of normals holds for the light in which it was measured alone.
+    return sensor.model_copy(update={"coating": coating, "illumination": illumination, "table_share": 0.0})

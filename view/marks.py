@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.image_file import read_image
-from gelgap.domains.press_folder import LIST, save_press_list
+from gelgap.domains.press_folder import LIST, SHEET, save_marks
 from gelgap.render import difference_picture
 from gelgap.render.calibration.pictures import ListedPress, read_press_list
 from gelgap.view.page import start_server
@@ -45,8 +45,9 @@ class MarksPage:
                 raise ValueError(
                     f"{path}: press {number} ({press.label}) must have picture, center_px and radius_px"
                 )
-        self._reference = read_image(folder / self._listed.reference)
-        self._pictures = {press.picture: read_image(folder / press.picture) for press in self._listed.presses}
+        files = (self._listed.reference, *(press.picture for press in self._listed.presses))
+        self._pictures = {file: read_image(folder / file) for file in files}
+        self._reference = self._pictures[self._listed.reference]
         self.presses: dict[str, ListedPress] = {press.picture: press for press in self._listed.presses}
         self._left_out: set[str] = set()
         self._lock, self._closed, self._filling = threading.RLock(), threading.Event(), False
@@ -128,11 +129,11 @@ class MarksPage:
             self.handle.position = place
 
     def save_list(self) -> None:
-        """Write the list anew, without the presses that are not used."""
+        """Write list and sheet anew, without the presses that are not used."""
         with self._lock:
             used = tuple(press for name, press in self.presses.items() if name not in self._left_out)
-            save_press_list(self._listed.model_copy(update={"presses": used}), self._path)
-            said = f"saved {len(used)} presses; fit them: gelgap calibrate {self._path}"
+            save_marks(self._listed.model_copy(update={"presses": used}), self._path, self._pictures)
+            said = f"saved {len(used)} presses, and {SHEET}; fit them: gelgap calibrate {self._path}"
             self._message.content = sentence_html(said, bad=False)
 
     def wait(self) -> None:

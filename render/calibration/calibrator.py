@@ -5,22 +5,21 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gelgap.assets.names import one_line
 from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
-from gelgap.render.calibration.pictures import NormalTable, PressPicture, check_presses
+from gelgap.render.calibration.pictures import PressPicture, check_presses
 from gelgap.render.calibration.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
+from gelgap.render.normal_table import NormalTable
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor, save_sensor
 
@@ -33,14 +32,10 @@ NEAREST_CAMERA_MM = 15.0
 # Presses nearer to each other than this share of their imprints' radius are at one place.
 _SAME_PLACE = 0.1
 _FEWEST_FITTED = 3
+# Shares of the table of normals that are tried, from the fitted light alone to the table alone.
+TABLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
-# The number of presses by which sizes of an unknown sphere are compared, with light of a low order.
-_PRESSES_FOR_SIZE = 12
-# Radii that may be tried, in radii of the marked imprint: a mark is between a third and three times the sphere.
-RADII_IN_MARKS = 2.0 ** np.arange(-5 / 3, 5 / 3 + 0.01, 1 / 3)
-_BETWEEN = 2.0 ** (1 / 6)
-_SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 
 
 @dataclass(frozen=True)
@@ -48,8 +43,9 @@ class HeldOut:
     """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
-    its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
-    is the reference, `table` the table of normals of the presses that were fitted; `draw` draws the picture as marked.
+    its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. Both are
+    drawn by the fitted light and the share of the table of normals that predicts best. `unchanged` is the reference,
+    `table` the table alone, of the presses that were fitted; `picture` is the one as marked.
     """
 
     name: str
@@ -57,23 +53,7 @@ class HeldOut:
     table: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
-    draw: Callable[[], np.ndarray] = field(repr=False)  # uint8 (h, w, 3)
-
-
-@dataclass(frozen=True)
-class SphereSize:
-    """Diameters that were tried, what each leaves unexplained, the best, and the interval that it lies in.
-
-    The interval's ends are the nearest sizes tried that are worse: their mean square over presses exceeds the best's by
-    two standard errors of the difference, or they are the last ones tried.
-    """
-
-    __repr__ = one_line
-
-    tried_mm: np.ndarray  # (sizes,)
-    rms_code_values: np.ndarray  # (sizes,)
-    diameter_mm: float
-    interval_mm: tuple[float, float]
+    picture: np.ndarray = field(repr=False)  # uint8 (h, w, 3)
 
 
 @dataclass(frozen=True)
@@ -92,7 +72,6 @@ class LightCalibration:
     # (presses, 3): brightness far from the contacts over the reference's, which the fit takes out
     levels: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     has_dots: bool = False
-    sphere_size: SphereSize | None = None  # of an unknown sphere
     at_limits: tuple[str, ...] = ()  # what was fitted to an end of the range that is searched, in words
 
     def __repr__(self) -> str:
@@ -120,7 +99,7 @@ def calibrate_light(
     reference
         uint8 (h, w, 3) without contact.
     presses
-        Six presses or more, spread over the view; if none has a diameter, one is fitted.
+        Six presses or more, spread over the view, each with its sphere's diameter.
     membranes
         Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
         called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
@@ -151,9 +130,6 @@ def calibrate_light(
             f"{len(presses)} presses cannot be held out in {folds} parts; at most {len(presses)} parts"
         )
     check_presses(reference, presses)
-    size = unknown_sphere_size(sensor, reference, presses, membranes, keep_camera=keep_camera)
-    if size is not None:
-        presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
     depths = [press.depth_mm for press in presses if press.depth_mm is not None]
     profiles = membranes(
         {press.sphere_diameter_mm for press in presses}, max(depths) if len(depths) == len(presses) else None
@@ -173,18 +149,20 @@ def calibrate_light(
             fit = others
         elif len(outliers):
             fit = task.fit(np.setdiff1d(everything, outliers))
-    used, held_out = fit.which, []
+    used, drawn = fit.which, []
     for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
         other = task.fit(np.delete(used, part))
         table = other.normal_table()
-        held_out += [_predicted(other, int(press), table) for press in used[part]]
+        drawn += [_Drawn.of(other, int(press), table) for press in used[part]]
+    share = table_share([press.levels() for press in drawn]) if drawn else 0.0
+    held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
     lit, volumes = task.lit_sensor(fit), []
     for k, pose in zip(fit.which, fit.presses, strict=True):
         volumes.append(placed.profiles[k].volume_mm3(pose[2]))
     return LightCalibration(
-        sensor=lit,
+        sensor=lit.model_copy(update={"table_share": share}),
         maps=task.flat_field(fit, lit),
         gain=tuple(map(tuple, fit.field.gain.T.tolist())),
         volume_mm3=float(np.median(volumes)),
@@ -195,7 +173,6 @@ def calibrate_light(
         held_out=tuple(held_out),
         levels=placed.levels[used],
         has_dots=placed.has_dots,
-        sphere_size=size,
         at_limits=tuple(_at_limits(fit, [led.name for led in sensor.illumination.leds])),
     )
 
@@ -288,14 +265,13 @@ class LightTask:
     placed: PlacedPresses
     order: int
     degree: int
-    far: bool = True  # whether a press changes the picture where it does not touch
     keep_camera: bool = False
 
     def fit(self, which: np.ndarray) -> LightFit:
         """Fit the presses of the indices `which`."""
         placed, camera = self.placed, self.sensor.camera
         at_mm = placed.poses_mm[which, :2]
-        far = placed.far_field(which) if self.far else placed.untouched
+        far = placed.far_field(which)
         around_mm = np.median(placed.mark_mm[which])
         box_mm = np.column_stack([at_mm.min(0) - around_mm, at_mm.max(0) + around_mm])
         nearest_mm = 1.05 * max(camera.footprint_mm(placed.size_px)) / 2  # out of the view, upright ones too
@@ -357,20 +333,58 @@ class LightTask:
         return FlatFieldMaps(ratio, loaded, offset, self.placed.dots)
 
 
-def _predicted(fit: LightFit, press: int, table: NormalTable) -> HeldOut:
-    """Predict a press that the fit has not seen."""
-    seen = fit.placed
-    scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
-    draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
-    plain = table.picture(seen.clean_reference, seen.normals(press, expected_mm), seen.camera)
-    return HeldOut(
-        seen.names[press],
-        unchanged=seen.scores(press, seen.reference),
-        table=seen.scores(press, seen.at_level(press, plain)),
-        marked=seen.scores(press, draw(expected_mm, scored_mm)),
-        refined=seen.scores(press, draw(fit.refined(press).presses[0], scored_mm)),
-        draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)),
-    )
+@dataclass(frozen=True)
+class _Drawn:
+    """A press that the fit has not seen as light and table draw it, uint8 (h, w, 3) each: as marked, and refined."""
+
+    placed: PlacedPresses
+    press: int
+    marked: tuple[np.ndarray, np.ndarray]
+    refined: tuple[np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, fit: LightFit, press: int, table: NormalTable) -> "_Drawn":
+        """Draw a press by a fit and its table of normals."""
+        seen = fit.placed
+        reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * seen.mark_mm[press])  # it may be off its mark
+
+        def drawn(pose_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            plain = table.picture(seen.clean_reference, seen.normals(press, pose_mm), seen.camera)
+            lit = seen.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
+            return lit, seen.at_level(press, plain)
+
+        return cls(seen, press, drawn(fit.expected_mm(press)), drawn(fit.refined(press).presses[0]))
+
+    def levels(self) -> list[tuple[float, float]]:
+        """Return the scores as marked, for each of `TABLE_SHARES`."""
+        return [self.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
+
+    def held_out(self, share: float) -> HeldOut:
+        """Return how the press is predicted with a share of the table."""
+        seen, press, picture = self.placed, self.press, _mixed(self.marked, share)
+        return HeldOut(
+            seen.names[press],
+            unchanged=seen.scores(press, seen.reference),
+            table=seen.scores(press, self.marked[1]),
+            marked=seen.scores(press, picture),
+            refined=seen.scores(press, _mixed(self.refined, share)),
+            picture=picture,
+        )
+
+
+def _mixed(light_and_table: tuple[np.ndarray, np.ndarray], share: float) -> np.ndarray:
+    light, table = (picture.astype(float) for picture in light_and_table)
+    return np.round(light + share * (table - light)).astype(np.uint8)
+
+
+def table_share(levels: Sequence[Sequence[tuple[float, float]]]) -> float:
+    """Return the one of `TABLE_SHARES` that predicts best, by PSNR of each press with each share, inside and around.
+
+    That is the largest sum of both medians, of those shares with which neither is below the table's alone.
+    """
+    medians = np.median(levels, axis=0)
+    better = (medians >= medians[-1]).all(axis=1)
+    return TABLE_SHARES[int(np.where(better, medians.sum(axis=1), -np.inf).argmax())]
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:
@@ -395,89 +409,3 @@ def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:
     whole = sensor.model_copy(update={"name": path.stem, "flat_field": flat_field})
     save_sensor(whole, path)
     return whole
-
-
-def unknown_sphere_size(
-    sensor: Sensor,
-    reference: np.ndarray,
-    presses: Sequence[PressPicture],
-    membranes: Membranes,
-    *,
-    keep_camera: bool = False,
-) -> SphereSize | None:
-    """Return the size of an unknown sphere, None if all are known."""
-    if all(press.sphere_diameter_mm is not None for press in presses):
-        return None
-    if any(press.sphere_diameter_mm is not None or press.radius_px is None for press in presses):
-        raise ValueError(
-            "some presses have no sphere_diameter_mm; a sphere of unknown size must be that of all presses, each with "
-            "radius_px"
-        )
-    mm_per_px = sensor.camera.footprint_mm((reference.shape[1], 1))[0] / reference.shape[1]
-    contacts_mm = [mm_per_px * press.radius_px for press in presses if not press.has_rough_marks]
-    some = np.unique(np.linspace(0, len(presses) - 1, _PRESSES_FOR_SIZE).astype(int))
-
-    def press_errors(profiles: PressProfiles) -> np.ndarray:
-        if not all(map(profiles.reaches, contacts_mm)):
-            return np.full(len(some), 255.0**2)  # such a sphere leaves no such mark
-        diameter = 2 * profiles.sphere_radius_mm
-        tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
-        placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
-        task = LightTask(sensor, placed, 2, 1, far=False, keep_camera=keep_camera)
-        return task.fit(np.arange(len(some))).press_errors()
-
-    mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
-    return fit_sphere_size(mark_mm, membranes, press_errors)
-
-
-def fit_sphere_size(
-    mark_radius_mm: float, membranes: Membranes, press_errors: Callable[[PressProfiles], np.ndarray]
-) -> SphereSize:
-    """Try spheres from the rough size of the imprints on, downhill, each with the membrane of one solve, scaled.
-
-    `press_errors` returns (presses,) the mean square error of each press in code values² for one sphere's membrane.
-
-    Raises
-    ------
-    ValueError
-        If the best size lies at an end of those tried or explains the pictures badly: they do not hold it.
-    """
-    sizes = 2 * mark_radius_mm * RADII_IN_MARKS
-    sizes = sizes[(sizes >= _SMALLEST_DIAMETER_MM) & (sizes <= _LARGEST_DIAMETER_MM)].tolist()
-    if len(sizes) < 3:
-        raise ValueError(
-            f"the marks are {2 * mark_radius_mm:.2f} mm wide, which no sphere of {_SMALLEST_DIAMETER_MM:g} to "
-            f"{_LARGEST_DIAMETER_MM:g} mm leaves; check radius_px and the camera's field of view"
-        )
-    middle = len(sizes) // 2
-    solved = membranes({sizes[middle]}, None)[sizes[middle]]
-    errors: dict[float, np.ndarray] = {}
-
-    def error(diameter_mm: float) -> float:
-        if diameter_mm not in errors:
-            errors[diameter_mm] = press_errors(solved.scaled(diameter_mm / sizes[middle]))
-        return float(errors[diameter_mm].mean())
-
-    at = middle
-    while 0 < at < len(sizes) - 1:
-        lowest = min((at, at - 1, at + 1), key=lambda k: error(sizes[k]))
-        if lowest == at:
-            break
-        at = lowest
-    else:
-        raise ValueError(
-            f"the pictures do not hold the sphere's size: of {sizes[0]:.2f} to {sizes[-1]:.2f} mm the end "
-            f"{sizes[at]:.2f} mm explains them best; give sphere_diameter_mm"
-        )
-    best = min((sizes[at] / _BETWEEN, sizes[at], sizes[at] * _BETWEEN), key=error)
-    if (left := error(best) ** 0.5) > DOUBTFUL_RMS:
-        raise ValueError(
-            f"the pictures do not hold the sphere's size: the best, {best:.2f} mm, leaves {left:.0f} code values rms, "
-            f"more than {DOUBTFUL_RMS:g}; give sphere_diameter_mm"
-        )
-    tried = np.array(sorted(errors))
-    worse = np.array([errors[d] - errors[best] for d in tried])
-    like = np.flatnonzero(worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
-    interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
-    rms = np.sqrt([errors[d].mean() for d in tried])
-    return SphereSize(tried, rms, best, tuple(map(float, interval)))

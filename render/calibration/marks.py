@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.render.calibration.pictures import cubic_of_normal
 from gelgap.render.calibration.poses import FEWEST_FOR_GAIN, LEAST_DOTS, found_dots, radii_away
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.light.scattered import monomials
+from gelgap.render.normal_table import cubic_of_normal
 
 _WIDEST_PX = 640  # pictures are looked at no larger
 _LEAST_CHANGE = 5.0  # code values
@@ -41,8 +41,9 @@ class FoundMark:
 
     `unexplained` is the share of the change, rms, that the ball's normals do not explain as all presses together show
     them; `beyond` the largest change farther than two radii from the centre, in the largest one nearer; `shift_px` by
-    how much the picture beyond the dent is shifted against the reference, 0 if nothing tells; `is_largest` whether the
-    ball leaves no larger contact.
+    how much the picture beyond the dent is shifted against the reference, 0 if nothing tells; `detail` how much of the
+    reference's dust and seams it has there, 1 for all of them at their place; `is_largest` whether the ball leaves no
+    larger contact.
     """
 
     center_px: tuple[float, float]
@@ -50,6 +51,7 @@ class FoundMark:
     unexplained: float
     beyond: float
     shift_px: float
+    detail: float
     is_largest: bool
 
 
@@ -254,8 +256,11 @@ def find_marks(
     return found
 
 
-def _shift_px(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -> float:
-    """Return by how much dust and seams beyond a dent are shifted, by phase correlation."""
+def _moved(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -> tuple[float, float]:
+    """Return by how many pixels dust and seams beyond a dent are shifted, by phase correlation, and their share left.
+
+    The share is the slope of the picture's detail over the reference's, which noise makes less than 1 in any picture.
+    """
     import cv2
 
     far = radii_away(picture, pose_px[:2], pose_px[2]) > _FAR
@@ -263,7 +268,9 @@ def _shift_px(picture: np.ndarray, reference: np.ndarray, pose_px: np.ndarray) -
     detail = [(own - cv2.GaussianBlur(own, (0, 0), _DETAIL_PX)) * far for own in grey]
     (x, y), response = cv2.phaseCorrelate(*(own.astype(float) for own in detail))
     least = max(_LEAST_RESPONSE, _NOISE_RESPONSE / np.sqrt(far.sum() + 1))
-    return float(np.hypot(x, y)) if response > least else 0.0
+    rest, own = detail
+    share = float((rest * own).sum() / max((rest**2).sum(), 1e-9))
+    return (float(np.hypot(x, y)) if response > least else 0.0), share
 
 
 def _mark(
@@ -281,11 +288,13 @@ def _mark(
     size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()
+    shift_px, detail = _moved(picture, reference, pose_px)
     return FoundMark(
         center_px=(x, y),
         radius_px=radius,
         unexplained=float(np.sqrt((error**2).sum() / max((real**2).sum(), 1e-9))),
         beyond=float(size.max(where=far, initial=0) / size.max(where=~far, initial=1e-9)),
-        shift_px=_shift_px(picture, reference, pose_px) / scale,
+        shift_px=shift_px / scale,
+        detail=detail,
         is_largest=bool(pose_px[2] > 0.995 * dents.radii_px[-1]),
     )

@@ -33,8 +33,7 @@ class PressPicture:
 
     `point_mm` is where the sphere was pressed, or `center_px` (column, row) where its imprint's centre is; without
     either it is found in the picture. Instead of the depth, `radius_px` may say how large the imprint is.
-    `marks_off_px` says by how much these two marks may be wrong. Without a diameter the sphere is an unknown one, the
-    same in all presses.
+    `marks_off_px` says by how much these two marks may be wrong.
     """
 
     picture: np.ndarray = field(repr=False)  # uint8 (h, w, 3)
@@ -177,9 +176,11 @@ def check_press(shape: tuple[int, ...], name: str, press: PressPicture) -> None:
         )
     elif (depth_mm is None) == (press.radius_px is None):
         wrong = " must have either depth_mm or radius_px"
-    elif diameter_mm is not None and diameter_mm <= 0:
+    elif diameter_mm is None:
+        wrong = " must have sphere_diameter_mm, by --ball-mm for all: pictures do not hold it, so measure it"
+    elif diameter_mm <= 0:
         wrong = f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
-    elif depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
+    elif depth_mm is not None and not 0 < depth_mm < diameter_mm / 2:
         wrong = f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
     elif press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
         wrong = f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
@@ -257,37 +258,6 @@ class FarField:
         """Return (n, 3) linear light of pixels, and what multiplies it at a level (3,)."""
         factor = level if self.loaded is None else level * self.loaded[rows, columns]
         return self.reference[rows, columns], np.broadcast_to(factor, (len(rows), 3))
-
-
-def cubic_of_normal(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return (…, 9): the monomials, from degree 1 to 3, of a normal's x and y."""
-    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=-1)
-
-
-@dataclass(frozen=True)
-class NormalTable:
-    """Change in code values by the membrane's normal, a cubic that is linear in the place, as GelSights are calibrated.
-
-    It holds for any body, and knows of no LEDs and shadows: what a fit has to be better than.
-    """
-
-    coefficients: np.ndarray  # (27, 3)
-    half_view_mm: float
-
-    @staticmethod
-    def columns(normals: np.ndarray, plane_mm: np.ndarray, half_view_mm: float) -> np.ndarray:
-        """Return (n, 27) of normals (n, 3) at places of the flat membrane (n, 2)."""
-        x, y = (plane_mm / half_view_mm).T
-        place = monomials(x, y, 1)
-        by_normal = cubic_of_normal(*normals[:, :2].T)
-        return (by_normal[:, :, None] * place[:, None]).reshape(len(normals), -1)
-
-    def picture(self, reference: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
-        """Return the uint8 picture (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
-        rows, columns = (values.ravel() for values in np.indices(reference.shape[:2]))
-        plane_mm = camera.plane_points_mm(columns, rows, reference.shape[1::-1])
-        change = self.columns(normals.reshape(-1, 3), plane_mm, self.half_view_mm) @ self.coefficients
-        return np.clip(np.round(reference + change.reshape(reference.shape)), 0, 255).astype(np.uint8)
 
 
 def median_of_presses(stack: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from gelgap.render.camera import Camera
 from gelgap.render.flat_field import map_dots
 from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
 from gelgap.render.inpainting import detect_markers, inpaint_telea
+from gelgap.render.normal_table import plane_of_pixels_mm
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
@@ -186,8 +187,7 @@ class PlacedPresses:
 
     @cached_property
     def _plane_mm(self) -> np.ndarray:
-        rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
-        return self.camera.plane_points_mm(columns, rows, self.size_px)
+        return plane_of_pixels_mm(self.camera, self.reference.shape)
 
     def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): the normal that each pixel sees of a press."""

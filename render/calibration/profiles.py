@@ -89,25 +89,9 @@ class PressProfiles:
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
         return z, np.where(inside, of_sphere, np.gradient(z, STEP_MM))
 
-    def scaled(self, factor: float) -> "PressProfiles":
-        """Return the profiles around a sphere `factor` times as large, in a gel as many times as thick."""
-        r = STEP_MM * np.arange(self.z_mm.shape[1])
-        radii = np.arange(0, factor * r[-1] + STEP_MM / 2, STEP_MM)
-        return PressProfiles(
-            factor * self.sphere_radius_mm,
-            factor * self.depths_mm,
-            factor * np.array([np.interp(radii / factor, r, row) for row in self.z_mm]),
-            factor * self.edges_mm,
-            factor * self.contact_radii_mm,
-        )
-
     def contact_radius_mm(self, depth_mm: float) -> float:
         """Return the contact's radius at a depth: a smooth curve through the solves'."""
         return float(np.interp(depth_mm, *self._smooth_radii()))
-
-    def reaches(self, contact_radius_mm: float) -> bool:
-        """Return whether the deepest press has a contact of a radius, or nearly."""
-        return contact_radius_mm <= 1.08 * self._smooth_radii()[1][-1]
 
     def depth_mm(self, contact_radius_mm: float) -> float:
         """Return the depth at which the contact has a radius.
@@ -118,7 +102,7 @@ class PressProfiles:
             If the sphere's cap cannot reach that radius.
         """
         depths, radii = self._smooth_radii()
-        if not self.reaches(contact_radius_mm):
+        if contact_radius_mm > 1.08 * radii[-1]:
             raise ValueError(
                 f"a contact of radius {contact_radius_mm:.2f} mm is marked, and a sphere of radius "
                 f"{self.sphere_radius_mm:g} mm reaches {radii[-1]:.2f} mm at most; check sphere_diameter_mm, radius_px "

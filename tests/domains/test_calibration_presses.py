@@ -28,12 +28,12 @@ def test_channels_are_turned_to_rgb_and_marks_kept(tmp_path):
     assert found.start.camera.position_mm[2] == -25
 
 
-def test_the_minis_marks_are_rough_and_its_ball_unknown(tmp_path):
+def test_the_minis_marks_are_rough_and_its_ball_assumed(tmp_path):
     folder = tmp_path / "gelsight_mini"
     folder.mkdir()
     np.savez(folder / "dataPack.npz", **parts())
     found = taxim_presses(str(folder), mm_per_px=0.03)
-    assert {(press.sphere_diameter_mm, press.marks_off_px) for press in found.presses} == {(None, 20.0)}
+    assert {(press.sphere_diameter_mm, press.marks_off_px) for press in found.presses} == {(1.4, 20.0)}
     assert found.start.camera.footprint_mm((32, 24))[0] == pytest.approx(32 * 0.03)
 
 

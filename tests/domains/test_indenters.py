@@ -76,6 +76,10 @@ def test_one_indenter_is_configured_as_before() -> None:
     assert type(several)(**several.configuration()).key == several.key
     fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4})
     assert recipe.model_copy(update={"sensor": fitted}).key == recipe.key
+    tabled = fitted.model_copy(update={"normal_table": ((1.0, 0.0, 0.0),) * 27})
+    assert recipe.model_copy(update={"sensor": tabled}).key == recipe.key
+    drawn_by_it = tabled.model_copy(update={"table_share": 0.5})
+    assert recipe.model_copy(update={"sensor": drawn_by_it}).key != recipe.key
 
 
 def indenter_lines(recipes: Sequence[DomainRecipe]) -> list[str]:

@@ -31,8 +31,9 @@ def profiles(diameters: set[float]) -> dict[float, PressProfiles]:
     for depth in (0.2, 0.4, 0.6, 0.8, 1.0):
         x, y, displacement = sphere_dent(depth, half_extent_mm=EXTENT_MM)
         along = displacement[len(y) // 2, len(x) // 2 :, 2]
-        solves.append(SolvedPress(depth, x[len(x) // 2 :], along, (depth * BALL_MM / 2) ** 0.5))
-    return {diameter_mm: PressProfiles.from_solves(BALL_MM / 2, solves).scaled(scale)}
+        sizes = (scale * size for size in (depth, x[len(x) // 2 :], along, (depth * BALL_MM / 2) ** 0.5))
+        solves.append(SolvedPress(*sizes))
+    return {diameter_mm: PressProfiles.from_solves(diameter_mm / 2, solves)}
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +124,15 @@ def test_a_second_imprint_and_a_press_unlike_the_others_are_named(folder: Path) 
     said = "; ".join(mark_presses(folder, BALL_MM, mm_per_px(), folder / "g.png").doubts)
     assert re.search(r"not like the other dents of a ball[^;]*: [^;]*\bd\.png", said)
     assert re.search(r"a second imprint: [^;]*\ba\.png", said)
+
+
+def test_a_blurred_and_a_stretched_picture_are_named(folder: Path) -> None:
+    cv2.imwrite(str(folder / "a.png"), cv2.GaussianBlur(cv2.imread(str(folder / "a.png")), (0, 0), 3.0))
+    stretched = cv2.resize(cv2.imread(str(folder / "d.png")), None, fx=1.3, fy=1.0)[:, 24:184]
+    cv2.imwrite(str(folder / "d.png"), stretched)
+    said = "; ".join(mark_presses(folder, BALL_MM, mm_per_px(), folder / "g.png").doubts)
+    assert "as if out of focus or stretched: a.png" in said
+    assert re.search(r"stretched: a\.png(,| and) d\.png|as if the camera had moved: d\.png", said)
 
 
 def test_of_a_video_rest_and_the_stillest_picture_of_each_press_are_taken(

@@ -15,10 +15,9 @@ from gelgap.render.calibration.calibrator import (
     _at_limits,
     _suspects,
     calibrate_light,
-    fit_sphere_size,
     held_out_parts,
     save_calibration,
-    unknown_sphere_size,
+    table_share,
 )
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.pictures import PressPicture
@@ -256,6 +255,13 @@ def test_held_out_presses_are_reported(calibration):
     assert (fitted > unchanged + 3).all()
 
 
+def test_the_share_of_the_table_predicts_best_and_in_no_region_worse_than_the_table():
+    light, table = (30.0, 20.0), (28.0, 24.0)
+    assert table_share([[light, (29.9, 22), (29, 23), (28.5, 23.5), table]] * 2) == 1.0
+    assert table_share([[light, (29.9, 22), (29.5, 24.5), (28.5, 24.2), table]] * 2) == 0.5
+    assert table_share([[(30, 25), (29.9, 24), (29, 24), (28.5, 24), table]] * 2) == 0.0
+
+
 def test_presses_at_one_place_are_held_out_together():
     centers, radii = (
         np.array([(10, 10), (90, 10), (10, 12), (50, 80), (91, 11), (11, 10)], float),
@@ -386,7 +392,7 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
         (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
         (changed(presses, depth_mm=None, radius_px=-3), "radius_px is -3"),
         (changed(presses, marks_off_px=0), "marks_off_px is 0"),
-        (changed(presses, sphere_diameter_mm=None), "that of all presses, each with radius_px"),
+        (changed(presses, sphere_diameter_mm=None), "press 1 must have sphere_diameter_mm, by --ball-mm"),
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, unsolved)
@@ -462,38 +468,6 @@ def test_a_press_is_expected_off_its_mark_as_the_others_are(pictures):
     fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(last))
     expected, marked = (pose[:2] - POINTS[last] for pose in (fit.expected_mm(last), placed.poses_mm[last]))
     assert np.hypot(*expected) < 0.6 * np.hypot(*marked)
-
-
-def ball_profiles(diameters, deepest):
-    (diameter,) = diameters
-    return {diameter: profiles(None, None)[3.0].scaled(diameter / 3.0)}
-
-
-def test_an_unknown_sphere_is_found(pictures):
-    start, _, _ = pictures
-    rng = np.random.default_rng(4)
-    renderer = MembraneRenderer(start, start.illumination, SIZE_PX)
-    depths = rng.uniform(0.3, 0.8, len(POINTS))
-    presses = tuple(
-        PressPicture(
-            renderer.picture(*sphere_dent(depth, point_mm=point), rng=rng),
-            None,
-            radius_px=24.0,
-            center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM),
-            marks_off_px=15.0,
-        )
-        for depth, point in zip(depths, POINTS, strict=True)
-    )
-    flat = renderer.reference(rng=rng)
-    size = unknown_sphere_size(start, flat, presses, ball_profiles, keep_camera=True)
-    assert size.diameter_mm == pytest.approx(3.0, rel=0.13)
-    assert size.interval_mm[0] <= size.diameter_mm <= size.interval_mm[1]
-    assert len(size.tried_mm) == len(size.rms_code_values)
-
-
-def test_a_size_that_no_picture_holds_is_refused():
-    with pytest.raises(ValueError, match="do not hold the sphere's size"):
-        fit_sphere_size(1.0, ball_profiles, lambda own: np.full(3, own.sphere_radius_mm))
 
 
 def test_a_blurring_camera_sees_a_blurred_dent(pictures):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.press_folder import save_press_list
+from gelgap.domains.press_folder import SHEET, save_marks
 from gelgap.render.calibration.pictures import ListedPress, PressList, read_press_list
 
 pytest.importorskip("viser")
@@ -15,14 +15,15 @@ pytest.importorskip("viser")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    presses = []
+    presses, pictures = [], {}
     for name in ("ref.png", "a.png", "b.png"):
-        cv2.imwrite(str(tmp_path / name), np.full((60, 80, 3), 100, np.uint8))
+        pictures[name] = np.full((60, 80, 3), 100, np.uint8)
+        cv2.imwrite(str(tmp_path / name), pictures[name])
     for name in ("a.png", "b.png"):
         marks = {"center_px": (20.0, 30.0), "radius_px": 8.0}
         presses.append(ListedPress(picture=name, sphere_diameter_mm=4.0, marks_off_px=2.0, **marks))
     listed = PressList(presses=tuple(presses), reference="ref.png", mm_per_px=0.1)
-    save_press_list(listed, tmp_path / "presses.toml")
+    save_marks(listed, tmp_path / "presses.toml", pictures)
     assert read_press_list(tmp_path / "presses.toml") == listed
     return tmp_path
 
@@ -30,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_moved_circle_and_a_press_left_out_are_saved(folder: Path) -> None:
     from gelgap.view.marks import MarksPage
 
-    page = MarksPage(folder, "127.0.0.1", 0)
+    page, sheet = MarksPage(folder, "127.0.0.1", 0), cv2.imread(str(folder / SHEET))
     try:
         page.x.value, page.radius.value = 25.5, 9.0
         page.handle.position = np.add(page.handle.position, (0.0, 1.25, 0.0))  # 10 px down
@@ -47,6 +48,9 @@ def test_a_moved_circle_and_a_press_left_out_are_saved(folder: Path) -> None:
     assert saved.center_px == pytest.approx((25.5, 40.0), abs=0.11)
     assert (saved.picture, saved.radius_px, saved.sphere_diameter_mm) == ("a.png", 9.0, 4.0)
     assert saved.marks_off_px == 2.0
+    redrawn = cv2.imread(str(folder / SHEET))
+    assert (redrawn[:, :320] != sheet[:, :320]).any()  # the moved circle
+    assert not redrawn[:, 640:].any()  # one press is left
 
 
 def test_a_folder_without_marked_presses_is_refused(folder: Path) -> None:
