@@ -146,7 +146,9 @@ class StaticNewton:
             if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
-                converged = self._advance(start + change * share, passes=share < 1) and not self._is_inverted()
+                converged = (
+                    self._advance(start + change * share, passes=share < 1) and not self._is_inverted()
+                )
                 if not converged:
                     break
                 # The smaller steps at first contact are part of the first load step.
