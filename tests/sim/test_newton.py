@@ -71,6 +71,26 @@ def test_a_way_that_takes_too_long_ends_in_its_last_equilibrium(monkeypatch: pyt
     np.testing.assert_allclose(after.force_n, ended.force_n, rtol=1e-3, atol=1e-6)
 
 
+def test_a_way_ends_at_the_load_step_that_inverts_an_element(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = ((0, 0, -0.6), (0.1, 0, -0.6))
+    problem = ContactProblem.of(Scene(NO_SLIP, Sphere(), "draft", Sharing()), None, way, (-1, 0))
+    own_step = newton.StaticNewton.load_step
+
+    def inverting_below(self: newton.StaticNewton, *how: object, **passes: bool) -> object:
+        ended = own_step(self, *how, **passes)
+        if self.command[2] < -0.3:
+            # The membrane's vertex on the axis goes down through the layers below it.
+            self.data.qpos[self.gel.vertex_dof[0] + 2] -= 1.0
+        return ended
+
+    monkeypatch.setattr(newton.StaticNewton, "load_step", inverting_below)
+    ended, after = solve(problem).records
+    assert not ended.converged
+    assert ended.diagnostics.min_volume_ratio <= 0
+    assert ended.indenter_mm[2] == pytest.approx(-0.4)
+    assert not after.converged
+
+
 def ends(rates: list[float], furthest: float, number: int) -> np.ndarray:
     """Return how far from its end, 0, a linear iteration of those rates is after some accelerated iterations."""
     acceleration, place = AndersonAcceleration(), np.ones(len(rates))
