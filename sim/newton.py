@@ -140,6 +140,8 @@ class StaticNewton:
             if parent != index - 1:
                 self.return_to(states[parent])
             self.iterations, self._most_iterations, self._ran_away = 0, left[parent], False
+            # A way that branches off, and one that is solved alone, begin alike: with a tangent of their own.
+            self._factorised = False
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
