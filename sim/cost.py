@@ -1,6 +1,6 @@
 """What a solve takes, before anything is solved: core seconds, from what its mesh and its load steps count.
 
-The numbers are those of one core of a server of 2023, fitted by `python -m gelgap.benchmarks.physics.cost`.
+The numbers are those of one core of a server of 2023; `gelgap benchmark stability` holds them against what scenes take.
 """
 
 import math

@@ -2,7 +2,6 @@
 
 import pytest
 
-from gelgap.benchmarks.physics import cost as benchmark
 from gelgap.sim import Box, Elastomer, Pose, Sphere
 from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_core_s, expected_work, forecast
 from gelgap.sim.indenter import Indenter
@@ -59,12 +58,3 @@ def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
 def test_work_costs_what_it_consists_of() -> None:
     one, twice = Work(3.0, 0.1, 0.4, 20.0), Work(3.0, 0.1, 0.4, 40.0)
     assert one.core_s < twice.core_s < 2 * one.core_s
-
-
-def test_no_scene_is_no_benchmark(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["cost", "--number", "0"])
-    with pytest.raises(SystemExit, match="2"):
-        benchmark.main()
-    assert "--number 0: must be 1 or more" in capsys.readouterr().err
