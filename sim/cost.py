@@ -18,10 +18,10 @@ from gelgap.sim.steady import solved_problems
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
 BUILD_S, BUILD_POWER = 0.032, 1.6
 # An iteration: seconds for 1000 vertices that the indenter can touch, and for 10⁹ operations of the elimination.
-TOUCHABLE_S, GFLOP_S = 0.41, 0.011
+TOUCHABLE_S, GFLOP_S = 0.41, 0.0155
 # Iterations of a load step straight down, of which the first onto the gel counts as three; of one sideways; and for
 # each cell that it goes.
-PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.1, 6.1, 9.0
+PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.7, 6.8, 10.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
 _GFLOP, _COUNTED_THOUSANDS = 0.060, 8.0

@@ -13,16 +13,16 @@ from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Moduli
 
 # Mass in tonnes over E · thickness · step², with steps of 1 s: by how much a step, a Newton iteration of the static
-# problem, is damped. With 0.33 an increment is 0.2 to 0.3 of the last one at best; with 0.0033 three deep boxes did not
-# settle.
+# problem, is damped. With 0.33 an increment is 0.2 to 0.3 of the last one at best; 0.0033 gains no more.
 _MASS_RATIO = 0.033
 # A rigid drive is an indenter too heavy for the gel to move; a mounted one has this share of the gel's mass.
 _RIGID_MASS_T = 1e7
 _MOUNTED_MASS_RATIO = 1e-3
 # Inertia of what must not leave the plane of symmetry.
 _PLANE_INERTIA_T = 1e12
-# The contact's inverse weights, scaled so that contacts are stiff against the gel's static stiffness.
-_INVWEIGHT_SCALE = 1e-3
+# Contacts give way by this over the gel's static stiffness. MuJoCo takes it from inverse masses: where contacts of a
+# lighter gel were softer, friction of a slide did not settle.
+_CONTACT_COMPLIANCE = 3e-3
 # Vertices this near the indenter are constrained not to enter it.
 _CONTACT_MARGIN_MM = 0.2
 # Vertices have no extent; MuJoCo wants some inertia, which nothing turns: that of a box of half this edge.
@@ -78,8 +78,8 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
         # Point masses take their inertia from dof_M0, which the compiler has filled.
         model.dof_armature[across] = _PLANE_INERTIA_T
         model.dof_M0[across] = _PLANE_INERTIA_T
-    model.body_invweight0[:] *= _INVWEIGHT_SCALE
-    model.dof_invweight0[:] *= _INVWEIGHT_SCALE
+    model.body_invweight0[:] *= _CONTACT_COMPLIANCE * _MASS_RATIO
+    model.dof_invweight0[:] *= _CONTACT_COMPLIANCE * _MASS_RATIO
     # MuJoCo adds each contact's surface velocity to its friction rows only if some geom seems to have one.
     model.flg_surfacevel = True
     vertex_of_geom = np.full(model.ngeom, -1)

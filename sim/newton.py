@@ -27,10 +27,9 @@ _ITERATIONS_PER_STEP = 60
 _MOST_HALVINGS = 2
 # Vertices that carry force in equilibrium lie on the indenter to this distance.
 _LARGEST_GAP_MM = 2e-3
-# The tangent of an earlier iteration, be it of the load step before, serves while each increment is at most this share
-# of the last: an iteration with it takes an eighth of the time. Since it converges more slowly, a load step that ends
-# on one has to come nearer, by this share of its tolerance. A press at `standard` took 0.6 to 0.7 of the time with
-# tangents kept within a step, forces to 1e-4.
+# The tangent of an earlier iteration serves while each increment is at most this share of the one before: an iteration
+# with it takes an eighth of the time. Since it converges more slowly, a load step that ends on one has to come nearer,
+# by this share of its tolerance. A press at `standard` takes 0.6 to 0.7 of the time, forces to 1e-4.
 _KEPT_TANGENT_RATIO = 0.7
 _KEPT_TANGENT_TOLERANCE = 0.2
 # An increment by a kept tangent that is longer than this many times the one before is undone, and found anew.
@@ -140,8 +139,6 @@ class StaticNewton:
             if parent != index - 1:
                 self.return_to(states[parent])
             self.iterations, self._most_iterations, self._ran_away = 0, left[parent], False
-            # A way that branches off, and one that is solved alone, begin alike: with a tangent of their own.
-            self._factorised = False
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
@@ -202,7 +199,7 @@ class StaticNewton:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
         self.contacts.begin_load_step(self.slip_mm)
         force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
-        increment_mm, kept_tangent, active = np.inf, True, self.active
+        increment_mm, kept_tangent, active = np.inf, False, self.active
         patience = spare = 0
         correction = np.zeros_like(data.qpos)
         # A step of a small body's size can throw the gel off its edges, though it does not go up.
@@ -382,8 +379,6 @@ class StaticNewton:
         if not self._rigid:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = self.command[:3]
         self._turn(np.eye(3))
-        # The tangent of where a load step failed, or another one ended, is not near this state's.
-        self._factorised = False
 
     @property
     def indenter_force_n(self) -> Floats:

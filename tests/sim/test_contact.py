@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gelgap.sim import contact
+from gelgap.sim import contact, newton
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.newton import StaticNewton, solve
 from gelgap.sim.problem import ContactProblem
@@ -22,7 +22,8 @@ COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 @pytest.fixture
 def fresh_tangents(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every iteration is MuJoCo's with the tangent of its state."""
-    monkeypatch.setattr(StaticNewton, "_find_contacts", lambda _: False)
+    monkeypatch.setattr(newton, "_KEPT_TANGENT_RATIO", 0.0)
+    monkeypatch.setattr(newton, "_MOST_PATIENCE", 0)
 
 
 pytestmark = [pytest.mark.usefixtures("coarse"), pytest.mark.numerical]
@@ -84,14 +85,14 @@ def test_a_flat_end_lets_go_near_static_friction_and_slides_at_kinetic() -> None
 
 
 def test_kept_tangents_end_where_fresh_ones_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo accepts what is recorded; nodes land where the first iteration of a load step leads, which differs."""
+    """MuJoCo accepts what is recorded; a node may land a micrometre aside."""
     taken, found = [], []
     factorise = contact.ContactNewton.factorise
     monkeypatch.setattr(
         contact.ContactNewton, "factorise", lambda self: (taken.append(self), factorise(self))
     )
-    for find in (StaticNewton._find_contacts, lambda _: False):
-        monkeypatch.setattr(StaticNewton, "_find_contacts", find)
+    for ratio in (newton._KEPT_TANGENT_RATIO, 0.0):
+        monkeypatch.setattr(newton, "_KEPT_TANGENT_RATIO", ratio)
         taken.clear()
         pad = StaticNewton(_problem())
         records = pad.follow_waypoints().records
@@ -102,7 +103,7 @@ def test_kept_tangents_end_where_fresh_ones_do(monkeypatch: pytest.MonkeyPatch) 
     (kept, few), (fresh, many) = found
     assert few < 0.75 * many
     for one, other in zip(kept, fresh, strict=True):
-        np.testing.assert_allclose(one.force_n, other.force_n, atol=2e-3 * np.linalg.norm(other.force_n))
+        np.testing.assert_allclose(one.force_n, other.force_n, atol=5e-4 * np.linalg.norm(other.force_n))
 
 
 def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
