@@ -134,8 +134,12 @@ class ContactSolve:
         found = diagnose(self.solution, placement.record, radius_mm, ratio, folded=False)
         recesses = recesses_of(self.solution.problem)
         if recesses is not None and contact.any():
+            from scipy.ndimage import uniform_filter
+
             table = pressure_table(self.solution, record)
-            pressure_mpa = table.around(self.pose, placement.frame, extent_mm)[1][contact, 0]
+            field_mpa = table.around(self.pose, placement.frame, extent_mm)[1][..., 0]
+            # Where an edge presses, vertices bear the load in turn; the gel sinks in by what they bear together.
+            pressure_mpa = uniform_filter(uniform_filter(field_mpa * contact, 5), 5)[contact]
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
             filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
             displacement_mm[contact] += filled_mm
