@@ -123,4 +123,4 @@ def test_partial_slip_is_cattaneo_and_mindlins(quality: str, depth_mm: float) ->
     for state, force_n in zip(slipping, expected_n[1:], strict=True):
         assert state.force_n[0] == pytest.approx(force_n, rel=0.11)
         sticks = 1 - (1 - (1 - force_n / limit_n) ** (2 / 3)) ** 1.5
-        assert state.diagnostics.sticking_fraction == pytest.approx(sticks, abs=0.1)
+        assert state.diagnostics.sticking_fraction == pytest.approx(sticks, abs=0.11)
