@@ -104,6 +104,11 @@ class Camera(Settings):
             slope = distorted / (1 + r2 * (k1 + r2 * k2))
         return np.asarray(self.position_mm[:2]) - self.position_mm[2] * slope
 
+    def plane_of_picture_mm(self, size_px: tuple[int, int]) -> np.ndarray:
+        """Return (h w, 2): which place of the undeformed membrane each pixel of a picture sees, row by row."""
+        rows, columns = np.indices(size_px[::-1])
+        return self.plane_points_mm(columns.ravel(), rows.ravel(), size_px)
+
     def project_px(self, points_mm: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
         """Return (…, 2) picture coordinates of (…, 3) points; pixel (column, row) has its centre at +0.5."""
         relative = np.asarray(points_mm, float) - self.position_mm

@@ -38,15 +38,9 @@ class NormalTable:
 
     def picture(self, reference: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
         """Return the uint8 picture (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
-        plane_mm = plane_of_pixels_mm(camera, reference.shape)
+        plane_mm = camera.plane_of_picture_mm(reference.shape[1::-1])
         change = self.columns(normals.reshape(-1, 3), plane_mm, self.half_view_mm) @ self.coefficients
         return np.clip(np.round(reference + change.reshape(reference.shape)), 0, 255).astype(np.uint8)
-
-
-def plane_of_pixels_mm(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
-    """Return (h w, 2) which place of the flat membrane each pixel of a picture sees."""
-    rows, columns = (values.ravel() for values in np.indices(shape[:2]))
-    return camera.plane_points_mm(columns, rows, shape[1::-1])
 
 
 class TableShare:
@@ -59,7 +53,7 @@ class TableShare:
     def __init__(
         self, table: NormalTable, share: float, camera: Camera, flat: np.ndarray, untouched: np.ndarray
     ) -> None:
-        place = plane_of_pixels_mm(camera, flat.shape).reshape(*flat.shape[:2], 2) / table.half_view_mm
+        place = camera.plane_of_picture_mm(flat.shape[1::-1]).reshape(*flat.shape[:2], 2) / table.half_view_mm
         untouched = np.maximum(untouched, _LEAST_LIGHT)
         arrays = place, table.coefficients.reshape(9, 3, 3), 255 * srgb_encode(untouched), flat / untouched
         self._arrays = tuple(values.astype(np.float32) for values in arrays)

@@ -16,12 +16,12 @@ from gelgap.sim.problem import QUALITIES, ContactProblem
 from gelgap.sim.steady import solved_problems
 
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
-BUILD_S, BUILD_POWER = 0.032, 1.6
+_BUILD_S, _BUILD_POWER = 0.032, 1.6
 # An iteration: seconds for 1000 vertices that the indenter can touch, and for 10⁹ operations of the elimination.
-TOUCHABLE_S, GFLOP_S = 0.41, 0.0155
+_TOUCHABLE_S, _GFLOP_S = 0.41, 0.0155
 # Iterations of a load step straight down, of which the first onto the gel counts as three; of one sideways; and for
 # each cell that it goes.
-PRESS_ITERATIONS, DRAG_ITERATIONS, CELL_ITERATIONS = 5.7, 6.8, 10.0
+_PRESS_ITERATIONS, _DRAG_ITERATIONS, _CELL_ITERATIONS = 5.7, 6.8, 10.0
 # Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
 # shape, are counted, which takes 2 % of the solve.
 _GFLOP, _COUNTED_THOUSANDS = 0.060, 8.0
@@ -46,12 +46,12 @@ class Work(NamedTuple):
     @property
     def iteration_s(self) -> float:
         """About how many seconds of a core an iteration takes."""
-        return TOUCHABLE_S * self.touchable + GFLOP_S * self.gflop
+        return _TOUCHABLE_S * self.touchable + _GFLOP_S * self.gflop
 
     @property
     def core_s(self) -> float:
         """About how many seconds of a core all of it takes."""
-        return BUILD_S * self.thousands**BUILD_POWER + self.iterations * self.iteration_s
+        return _BUILD_S * self.thousands**_BUILD_POWER + self.iterations * self.iteration_s
 
 
 def expected_core_s(problem: ContactProblem) -> float:
@@ -71,16 +71,16 @@ def expected_work(problem: ContactProblem) -> Work:
 def expected_iterations(problem: ContactProblem) -> float:
     """Return about how many iterations the load steps of a problem take."""
     # The first load step onto the gel is taken in three.
-    iterations = 2 * PRESS_ITERATIONS * problem.parents.count(-1)
+    iterations = 2 * _PRESS_ITERATIONS * problem.parents.count(-1)
     for start, end in problem.segments:
         change = end - start
         steps, sideways_mm = problem.steps(change), np.hypot(*change[:2]) + problem.arc_mm(change[3:])
         if sideways_mm > 0:
-            iterations += DRAG_ITERATIONS * steps + CELL_ITERATIONS * sideways_mm / problem.cell_mm
+            iterations += _DRAG_ITERATIONS * steps + _CELL_ITERATIONS * sideways_mm / problem.cell_mm
         else:
             # Vertices that slide over a sharp edge do so one after another.
             features = abs(change[2]) / steps / problem.indenter.feature_size_mm
-            iterations += PRESS_ITERATIONS * steps * max(1.0, features)
+            iterations += _PRESS_ITERATIONS * steps * max(1.0, features)
     return float(iterations)
 
 

@@ -392,13 +392,9 @@ class StaticNewton:
         return np.array(self.data.flexvert_xpos)
 
     def _is_inverted(self) -> bool:
-        """Return whether a tetrahedron is turned inside out."""
-        mesh = self.gel.mesh
-        now, rest = (
-            np.linalg.det(points[mesh.tetrahedra[:, 1:]] - points[mesh.tetrahedra[:, :1]])
-            for points in (self.vertices_mm(), mesh.vertices_mm)
-        )
-        return bool((now * rest <= 0).any())
+        """Return whether a tetrahedron, which has a positive volume at rest, is turned inside out."""
+        corners = self.vertices_mm()[self.gel.mesh.tetrahedra]
+        return bool((np.linalg.det(corners[:, 1:] - corners[:, :1]) <= 0).any())
 
     def _polished_record(self, converged: bool) -> Record:
         """Record the present state, once MuJoCo has accepted it.

@@ -28,6 +28,10 @@ from gelgap.sim.slip import Slip, Stand, slip_between
 from gelgap.sim.solution import Record, Solution
 from gelgap.sim.traction import Traction, balanced_traction
 
+# Beside an edge that presses, vertices bear the load in turn; recesses are filled by what those along so many points of
+# the grid, half a millimetre, bear together.
+_SHARED_POINTS = 5
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -138,8 +142,8 @@ class ContactSolve:
 
             table = pressure_table(self.solution, record)
             field_mpa = table.around(self.pose, placement.frame, extent_mm)[1][..., 0]
-            # Where an edge presses, vertices bear the load in turn; the gel sinks in by what they bear together.
-            pressure_mpa = uniform_filter(uniform_filter(field_mpa * contact, 5), 5)[contact]
+            smooth_mpa = uniform_filter(field_mpa * contact, _SHARED_POINTS)
+            pressure_mpa = uniform_filter(smooth_mpa, _SHARED_POINTS)[contact]
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
             filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
             displacement_mm[contact] += filled_mm

@@ -17,7 +17,7 @@ from gelgap.sim.shapes import AnyIndenter
 FORCE_UNCERTAINTY_PERCENT = 0.3
 DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx
 RADIUS_UNCERTAINTY_PERCENT = 0.5  # elements of 0.0125 mm differ by less
-# So many gaps beside a contact say where it ends; smaller ones are penetration.
+# A contact's end is extrapolated from this many gaps beside it; a smaller gap than this is penetration.
 SMALLEST_GAP_MM, GAPS = 5e-4, 4
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"

@@ -23,7 +23,6 @@ from gelgap.render.camera import Camera
 from gelgap.render.flat_field import map_dots
 from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
 from gelgap.render.inpainting import detect_markers, inpaint_telea
-from gelgap.render.normal_table import plane_of_pixels_mm
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
@@ -187,7 +186,7 @@ class PlacedPresses:
 
     @cached_property
     def _plane_mm(self) -> np.ndarray:
-        return plane_of_pixels_mm(self.camera, self.reference.shape)
+        return self.camera.plane_of_picture_mm(self.size_px)
 
     def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): the normal that each pixel sees of a press."""
