@@ -115,6 +115,13 @@ def test_a_run_of_generated_domains_keeps_its_oracles_and_what_no_picture_shows(
     assert "pose oracle" in text
 
 
+def test_pictures_are_not_shifted_where_a_contact_point_is_learnt(source, target, short, tmp_path):
+    x_mm = np.random.default_rng(0).uniform(-4, 4, len(source))
+    pair = [on(frames, "fz_n", x_mm=x_mm) for frames in (source, target)]
+    with pytest.raises(ValueError, match="shift_px = 3: a shifted picture shows another x_mm than its label"):
+        adapt_folders(*pair, ["adabn"], short.replace(shift_px=3), labels=["x_mm", "fz_n"], out_dir=tmp_path)
+
+
 def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_path):
     x_mm = np.random.default_rng(0).uniform(-4, 4, len(source))
     pair = [on(frames, "fz_n", x_mm=x_mm) for frames in (source, target)]
