@@ -35,9 +35,10 @@ from gelgap.assets.checksums import file_sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
 from gelgap.assets.whole_file import warn
-from gelgap.domains import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains import LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
+from gelgap.domains.frames.stored import GeneratedDomain
 from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from gelgap import adapt, domains, render
+from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
@@ -98,6 +98,7 @@ def samples(data: Path) -> "NamedFigure":
     from matplotlib.figure import Figure
 
     from gelgap.adapt.result_table import NamedFigure
+    from gelgap.render.imaging import difference_picture
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     for row, name in zip(figure.subplots(2, 4), (SOURCE, TARGET), strict=True):
@@ -108,7 +109,7 @@ def samples(data: Path) -> "NamedFigure":
         picture = domain.picture(index)
         row[0].imshow(domain.reference)
         row[1].imshow(picture)
-        row[2].imshow(render.difference_picture(picture, domain.reference, 2.0))
+        row[2].imshow(difference_picture(picture, domain.reference, 2.0))
         height = row[3].imshow(domain.height_map_mm(index))
         figure.colorbar(height, ax=row[3], label="mm", shrink=0.8)
         for panel, title in zip(row, ("reference", "contact", "difference, ×2", "height"), strict=True):

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.render import Camera, Coating, Illumination, Led, Markers, PressPicture, Sensor
-from gelgap.render.calibration.pictures import find_contact_mm, light_azimuths
+from gelgap.render import Camera, Coating, Illumination, Led, Markers, Sensor
+from gelgap.render.calibration.pictures import PressPicture, find_contact_mm, light_azimuths
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
 from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 

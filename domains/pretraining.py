@@ -21,7 +21,8 @@ from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.domain import RandomFactor, word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
-from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
+from gelgap.sim import Elastomer, Pose, PosePath, Sphere
+from gelgap.sim.problem import QualityName
 
 RANDOM_FACTORS = get_args(RandomFactor)
 

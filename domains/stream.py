@@ -20,8 +20,9 @@ from gelgap.domains.frames.joined import join_domains
 from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
-from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, QualityName
+from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges
 from gelgap.sim.library import solve_all
+from gelgap.sim.problem import QualityName
 from gelgap.sim.solution import has_solution
 
 LOG = logging.getLogger(__name__)

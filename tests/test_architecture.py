@@ -34,7 +34,7 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 # One person is to hold the house in the head: what counts first is its doors. Their ceilings fall from release to
 # release; lines and files rose for what bodies by their surface and methods of the field may take.
-MOST_PUBLIC_NAMES = 150
+MOST_PUBLIC_NAMES = 109
 MOST_ARGUMENTS = 124
 MOST_NAMES_OF_ARGUMENTS = 76
 MOST_LINES = 37_420

@@ -17,15 +17,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.checksums import canonical_json
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 
 if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile, SplitFrames, Stage1
-    from gelgap.domains import DomainRecipe, GeneratedDomain, LabelledFrames
+    from gelgap.adapt import ForceModel, Profile
+    from gelgap.adapt.data import SplitFrames
+    from gelgap.adapt.runs import Stage1
+    from gelgap.domains import DomainRecipe, LabelledFrames
+    from gelgap.domains.frames.stored import GeneratedDomain
 
 RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
@@ -200,14 +203,14 @@ class Study:
 
     def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
         """Return the first stage of a run, whose checkpoint all methods of a group, split and seed share."""
-        from gelgap.adapt import Stage1
+        from gelgap.adapt.runs import Stage1
 
         return Stage1(source_train, self.profile_of(run), run["seed"], None, self.out)
 
 
 def train_once(stage1: "Stage1", method: str) -> float:
     """Train the first stage that a method needs, or wait until another run has; return the time it took now, s."""
-    from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import find_method
 
     if not find_method(method).needs_stage_1:
         return 0.0
@@ -248,7 +251,7 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     with the errors of the source's mean force. Times are the processor's, stage 2 with its evaluation; `stage1_s` is 0
     where another run had trained the checkpoint.
     """
-    from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import find_method
     from gelgap.adapt.runs import Group
 
     frames = study.frames_of(run)
@@ -308,7 +311,7 @@ def control_of(method: str) -> str | None:
     Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
     2 without a loss.
     """
-    from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import find_method
 
     found = find_method(method)
     if method in _CONTROLS or not found.uses_target or found.uses_target_labels:

@@ -24,9 +24,10 @@ import pandas as pd
 
 from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.benchmarks.physics.cases import Case
-from gelgap.sim import Elastomer, Indenter, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
 from gelgap.sim.cost import expected_core_s
 from gelgap.sim.estimate import LARGEST_ESTIMATE
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.scene import deepest_mm
 
 MODULE = "gelgap.benchmarks.physics.stability"

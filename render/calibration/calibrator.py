@@ -95,14 +95,15 @@ def calibrate_light(
     ----------
     sensor
         The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
-        the LEDs' places, sizes and colours are fitted. `gelgap.domains.lit_from_dents` finds directions.
+        the LEDs' places, sizes and colours are fitted. `lit_from_dents` finds directions.
     reference
         uint8 (h, w, 3) without contact.
     presses
         Six presses or more, spread over the view, each with its sphere's diameter.
     membranes
         Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
-        called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
+        called with all diameters once the pictures are known to be right: `sphere_profiles` of
+        `gelgap.domains.calibration_presses`.
     keep_camera
         Whether the camera stays as it is; otherwise its distance and blur are fitted, and it shows the same of the gel.
     folds
@@ -117,9 +118,7 @@ def calibrate_light(
         inside or around the contact.
     """
     if sensor.illumination is None:
-        raise ValueError(
-            f"sensor {sensor.name!r} has no LEDs of its own; `gelgap.domains.lit_from_dents` finds some"
-        )
+        raise ValueError(f"sensor {sensor.name!r} has no LEDs of its own; `lit_from_dents` finds some")
     if len(presses) < FEWEST_PRESSES:
         raise ValueError(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import PretrainingRanges, plan_generation, pretraining_recipes
+from gelgap.domains import PretrainingRanges, pretraining_recipes
+from gelgap.domains.generation.plan import plan_generation
 from gelgap.domains.pretraining import RANDOM_FACTORS
 
 RANGES = PretrainingRanges(
