@@ -6,6 +6,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -153,7 +154,7 @@ def calibrate_light(
         other = task.fit(np.delete(used, part))
         table = other.normal_table()
         drawn += [_Drawn.of(other, int(press), table) for press in used[part]]
-    share = table_share([press.levels() for press in drawn]) if drawn else 0.0
+    share = table_share([press.levels for press in drawn]) if drawn else 0.0
     held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
@@ -354,20 +355,21 @@ class _Drawn:
 
         return cls(seen, press, drawn(fit.expected_mm(press)), drawn(fit.refined(press).presses[0]))
 
+    @cached_property
     def levels(self) -> list[tuple[float, float]]:
-        """Return the scores as marked, for each of `TABLE_SHARES`."""
+        """The scores as marked, for each of `TABLE_SHARES`, of which the last is the table alone."""
         return [self.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
 
     def held_out(self, share: float) -> HeldOut:
         """Return how the press is predicted with a share of the table."""
-        seen, press, picture = self.placed, self.press, _mixed(self.marked, share)
+        seen, press = self.placed, self.press
         return HeldOut(
             seen.names[press],
             unchanged=seen.scores(press, seen.reference),
-            table=seen.scores(press, self.marked[1]),
-            marked=seen.scores(press, picture),
+            table=self.levels[-1],
+            marked=self.levels[TABLE_SHARES.index(share)],
             refined=seen.scores(press, _mixed(self.refined, share)),
-            picture=picture,
+            picture=_mixed(self.marked, share),
         )
 
 
