@@ -49,9 +49,6 @@ BENCHMARKS = {
     ),
     "stability": Benchmark("solves at the corners of what is allowed", "physics.stability:run"),
     "render": Benchmark("error of pictures against run time, beside a path tracer", "render.accuracy:run"),
-    "markers": Benchmark(
-        "displacement from markers, by their pattern, beside dense flow", "render.marker_motion:run"
-    ),
     "sensors": Benchmark(
         "how well presses of real sensors are predicted from others", "sensor_sets:run", needs_data=True
     ),
