@@ -36,7 +36,6 @@ class Demo(opt.Command):
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    workers: opt.Workers = None
 
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
@@ -44,15 +43,12 @@ class Demo(opt.Command):
         from gelgap.adapt.result_table import write_pages
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
-        processes, scheduler = opt.processes_and_scheduler(self.workers)
         report = domains.generate(
             (SOURCE, TARGET),
             PATH,
             self.out / "data",
             quality="draft",
             seed=SEED,
-            scheduler=scheduler,
-            workers=processes,
             columns=("height_map",),
         )
         print(report)

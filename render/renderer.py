@@ -301,9 +301,9 @@ def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
     return (parts.reshape(rows * columns, -1) @ to_linear).reshape(rows, columns, 3)
 
 
-def reference_gap(one: MembraneRenderer, other: MembraneRenderer, markers: bool = False) -> imaging.ColourGap:
-    """Return the colour gap of two renderers' pictures of the undeformed membrane, without noise."""
-    return imaging.picture_gap(one.reference(markers), other.reference(markers))
+def reference_gap(one: MembraneRenderer, other: MembraneRenderer) -> imaging.ColourGap:
+    """Return the colour gap of two renderers' pictures of the undeformed membrane, without markers and noise."""
+    return imaging.picture_gap(one.reference(markers=False), other.reference(markers=False))
 
 
 class _Announcement(event.Listener):
