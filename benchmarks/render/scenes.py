@@ -31,10 +31,11 @@ def sphere_dent(
     shear_mm: tuple[float, float] = (0.0, 0.0),
     point_mm: tuple[float, float] = (0.0, 0.0),
     half_extent_mm: tuple[float, float] = (7.0, 5.5),
+    spacing_mm: float = 0.1,
     radius_mm: float = 1.5,
 ) -> Membrane:
     """Return x_mm, y_mm, displacement_mm: a spherical cap with an exponential flank, dragged by a smooth field."""
-    x, y = (np.linspace(-half, half, round(20 * half) + 1) for half in half_extent_mm)
+    x, y = (np.linspace(-half, half, round(2 * half / spacing_mm) + 1) for half in half_extent_mm)
     r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
     contact = min(np.sqrt(depth_mm * radius_mm), 0.9 * radius_mm)
     rim = np.sqrt(radius_mm**2 - contact**2)
