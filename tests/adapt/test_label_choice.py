@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gelgap.adapt import (
-    Evaluation,
     ForceModel,
     adapt_folders,
     affine_correction,
@@ -20,6 +19,7 @@ from gelgap.adapt import (
     train_source,
     write_report,
 )
+from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.report import axis_table, error_table, force_scatter
 from gelgap.assets.checksums import SUMS
 from gelgap.cli.main import main
