@@ -9,9 +9,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from gelgap.sim.mesh import mesh_for, touchable, unordered_mesh
+from gelgap.sim.mesh import touchable, unordered_mesh
 from gelgap.sim.problem import QUALITIES, ContactProblem
 from gelgap.sim.steady import solved_problems
 
@@ -93,16 +92,9 @@ def most_iterations(problem: ContactProblem) -> int:
 
 def _counted_gflop(problem: ContactProblem) -> float:
     """Return the operations of all fronts of an elimination, in 10⁹."""
-    from gelgap.sim.fronts import assembly_tree
+    from gelgap.sim.fronts import elimination_groups
 
-    mesh = mesh_for(problem)
-    nodes = touchable(mesh, problem)
-    corners, moving = mesh.tetrahedra, len(mesh.vertices_mm) - len(mesh.bottom)
-    # Vertices are numbered in reverse order of elimination, the bonded ones last.
-    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
-    order = order[:, (order >= 0).all(axis=0)]
-    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
-    fronts = assembly_tree(graph, len(nodes))[:-1]
+    fronts = elimination_groups(problem)[:-1]
     own = 3.0 * np.array([len(front.columns) for front in fronts])
     below = 3.0 * np.array([len(front.rows) for front in fronts]) + 1
     return float((own**3 / 3 + own**2 * below + own * below**2).sum()) / 1e9
