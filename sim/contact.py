@@ -323,7 +323,8 @@ class ContactNewton:
         coupling = linalg.solve_triangular(factor, coupling, lower=True, check_finite=False)
         own = self._lower[np.ix_(inner, inner)]
         own = own + np.tril(own, -1).T - coupling.T @ coupling
-        inverse = linalg.cho_solve(linalg.cho_factor(own, lower=True, check_finite=False), np.eye(len(inner)))
+        own_factor = linalg.cho_factor(own, lower=True, check_finite=False)
+        inverse = linalg.cho_solve(own_factor, np.eye(len(inner)), check_finite=False)
         self._touched, self._factor_of_others, self._coupling = touched, factor, coupling
         self._stiffness = linalg.block_diag(np.diag(self._indenter_mass), own)
         self._compliance = linalg.block_diag(np.diag(1 / self._indenter_mass), inverse)
@@ -348,7 +349,7 @@ class ContactNewton:
             slope = residual @ increment + contact_force @ along
             length = self._line_search(slope, increment @ stiffness @ increment, relative, along)
             solution, relative = solution + length * increment, relative + length * along
-        self._relative[self._geoms()] = np.nan_to_num(relative, nan=1.0).reshape(-1, 3)
+        self._relative[self._data.contact.geom.max(axis=1)] = np.nan_to_num(relative, nan=1.0).reshape(-1, 3)
         return solution
 
     def _start(self, force: Floats, jacobian: Floats, dofs: Ints) -> tuple[Floats, Floats]:
@@ -356,7 +357,9 @@ class ContactNewton:
 
         From there half as many increments are left as from rest.
         """
-        given, last = -np.array(self._data.efc_aref), self._relative[self._geoms()].ravel()
+        # The indenter's geom comes before those of nodes.
+        last = self._relative[self._data.contact.geom.max(axis=1)].ravel()
+        given = -np.array(self._data.efc_aref)
         contact_force = self._contact_force(last, stiffness=True).reshape(-1, 3)
         pressing, root = self._roots()
         moved = (given - last).reshape(-1, 3)[pressing, :, None]
@@ -364,10 +367,6 @@ class ContactNewton:
         residual = -force - _on_dofs(jacobian, contact_force, dofs, len(force))
         solution = self._increment(residual, jacobian, dofs)
         return solution, given + np.einsum("cij,cj->ci", jacobian, solution[dofs]).ravel()
-
-    def _geoms(self) -> Ints:
-        """Return the geom of each contact's node; the indenter's comes before them."""
-        return self._data.contact.geom.max(axis=1)
 
     def _contact_force(self, relative: Floats, *, stiffness: bool = False) -> Floats:
         """Return the contacts' forces (3 c,) at J x − a_ref (3 c,); the data gets their `stiffness`, if wanted."""
