@@ -131,11 +131,11 @@ class ContactSolve:
                 x_mm, y_mm, flat.displacement_mm, flat.contact, flat.force_n, contact_solve=self
             )
         record, ratio = self.record, self.modulus_ratio
-        between, radius_mm = _membrane_and_radius(self.solution, placement.record)
+        between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
         rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        found = diagnose(self.solution, placement.record, radius_mm, ratio, folded=False)
+        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio, folded=False)
         recesses = recesses_of(self.solution.problem)
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter
@@ -147,8 +147,9 @@ class ContactSolve:
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
             filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
             displacement_mm[contact] += filled_mm
-            force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
-            found = with_fill(found, filled_mm, force_n, depth_mm, self.solution.problem.quality.name)
+            give_mm = recesses.give_mm(from_origin_mm, indenter, pressure_mpa)
+            quality = self.solution.problem.quality.name
+            found = with_fill(found, filled_mm, give_mm, record, ratio, quality)
         displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(x_mm, y_mm, displacement_mm)
         return SolvedPose(
@@ -157,9 +158,7 @@ class ContactSolve:
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
-            torque_n_mm=placement.frame.torque_on_sensor(
-                record.torque_n_mm * [1, 1, twist_factor(self.solution, record)] * ratio
-            ),
+            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * [1, 1, twist] * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
             diagnostics=replace(found, folded=folded),
@@ -200,7 +199,13 @@ class ContactSolve:
 
 
 @lru_cache(maxsize=64)
-def _membrane_and_radius(solution: Solution, record_index: int) -> tuple[MembraneCubic | PolarTable, float]:
-    """Return the membrane of a record and its contact radius, which many poses share."""
+def _membrane_and_edge(
+    solution: Solution, record_index: int
+) -> tuple[MembraneCubic | PolarTable, float, float]:
+    """Return the membrane of a record, its contact radius and its `twist_factor`, which many poses share."""
     record = solution.records[record_index]
-    return membrane_between(solution, record), contact_radius_mm(solution, record)
+    return (
+        membrane_between(solution, record),
+        contact_radius_mm(solution, record),
+        twist_factor(solution, record),
+    )

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pymetis
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -201,6 +202,23 @@ def test_the_order_of_elimination_is_cheaper_than_minimum_degree() -> None:
     inner = np.setdiff1d(np.arange(count), last)
     by_degree = np.concatenate([inner[_minimum_degree(graph[inner][:, inner])], last])
     assert _factor_work(graph[order][:, order]) < 0.7 * _factor_work(graph[by_degree][:, by_degree])
+
+
+def test_a_mesh_on_which_metis_fails_is_ordered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise RuntimeError("Caught an unknown exception!")
+
+    problem = _problem(3.0, 3.0, 0.6)
+    mesh = unordered_mesh(problem)
+    count, pairs = len(mesh.vertices_mm), np.repeat(mesh.tetrahedra, 4, axis=1).ravel()
+    both = (pairs, np.tile(mesh.tetrahedra, 4).ravel())
+    graph = sparse.coo_array((np.ones(len(pairs)), both), shape=(count, count)).tocsr()
+    by_metis = elimination_order(graph, mesh.surface)
+    monkeypatch.setattr(pymetis, "nested_dissection", fail)
+    order = elimination_order(graph, mesh.surface)
+    np.testing.assert_array_equal(np.sort(order), np.arange(count))
+    np.testing.assert_array_equal(order[-len(mesh.surface) :], mesh.surface)
+    assert _factor_work(graph[order][:, order]) < 2 * _factor_work(graph[by_metis][:, by_metis])
 
 
 def _factor_work(graph: sparse.csr_array) -> float:
