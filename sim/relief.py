@@ -17,7 +17,6 @@ from gelgap.sim.grading import is_served
 from gelgap.sim.indenter import Floats
 from gelgap.sim.membrane import GRID_SPACING_MM
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Record
 from gelgap.sim.surface import Surface
 
 # What is narrower than this many cells, vertices do not show.
@@ -121,15 +120,6 @@ class Recesses:
         level = mean * load * (1 - np.log(load))
         return (shown * waves + (1 - shown) * level)[:, None] * bridging.axes[:, 2]
 
-    def give_mm(self, from_origin_mm: Floats, bridging: Surface, pressure_mpa: Floats) -> Floats:
-        """Return how far (n,) crests would be carried sideways by as much shear as pressure (n,), without slip.
-
-        Across waves they give as much sideways as along their normals (Ciavarella 1998, J. Mech. Phys. Solids 46:2245).
-        """
-        mean, flattening = self._at(from_origin_mm, bridging, self.mean_mm, self.flattening_mpa)
-        load = np.clip(pressure_mpa / np.maximum(flattening, 1e-12), 1e-9, 1.0)
-        return -mean * load * np.log(load)
-
 
 @lru_cache(maxsize=4)
 def recesses_of(problem: ContactProblem) -> Recesses | None:
@@ -176,21 +166,14 @@ def filled_share(height: Floats, load: Floats) -> Floats:
 
 
 def with_fill(
-    found: Diagnostics, filled_mm: Floats, give_mm: Floats, record: Record, modulus_ratio: float, quality: str
+    found: Diagnostics, filled_mm: Floats, force_n: float, depth_mm: float, quality: str
 ) -> Diagnostics:
-    """Return diagnostics of a record that say how far the forces of bridged recesses may be off.
+    """Return diagnostics whose force (> 0) may be off as the theory of how gel (n, 3) fills recesses is.
 
-    The gel (n, 3) that fills them makes the press less deep in the mean, as uncertainly as the theory is. Their crests
-    give sideways (n,), which the solve knows nothing of: what sticks is sheared by as much less than it travels.
+    In the mean the gel is pressed less deep by the fill.
     """
-    force_n = modulus_ratio * np.abs(record.force_n)
-    sideways_n, depth_mm = float(np.hypot(*force_n[:2])), abs(record.indenter_mm[2])
-    travel_mm = float(np.hypot(*record.indenter_mm[:2]))
-    fill_share = _THEORY_OFF * float(np.linalg.norm(filled_mm.mean(axis=0))) / depth_mm
-    carried_mm = found.sticking_fraction * float(give_mm.mean()) * sideways_n / max(force_n[2], 1e-12)
-    give_share = min(1.0, carried_mm / travel_mm) if travel_mm else 0.0
-    fz_error_n = math.hypot(found.fz_error_n, fill_share * force_n[2])
-    shear_error_n = math.hypot(found.shear_error_n, give_share * sideways_n)
-    largest_n = LARGEST_ESTIMATE[quality] * float(np.linalg.norm(force_n))
-    coarse = found.coarse or max(fz_error_n, shear_error_n) > largest_n
-    return replace(found, fz_error_n=fz_error_n, shear_error_n=shear_error_n, coarse=coarse)
+    share = _THEORY_OFF * float(np.linalg.norm(filled_mm.mean(axis=0))) / depth_mm
+    fz_error_n = math.hypot(found.fz_error_n, share * force_n)
+    return replace(
+        found, fz_error_n=fz_error_n, coarse=found.coarse or fz_error_n > LARGEST_ESTIMATE[quality] * force_n
+    )

@@ -147,9 +147,8 @@ class ContactSolve:
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
             filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
             displacement_mm[contact] += filled_mm
-            give_mm = recesses.give_mm(from_origin_mm, indenter, pressure_mpa)
-            quality = self.solution.problem.quality.name
-            found = with_fill(found, filled_mm, give_mm, record, ratio, quality)
+            force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
+            found = with_fill(found, filled_mm, force_n, depth_mm, self.solution.problem.quality.name)
         displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(x_mm, y_mm, displacement_mm)
         return SolvedPose(

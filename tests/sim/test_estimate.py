@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_poses
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -140,3 +140,16 @@ def test_a_finer_and_deeper_solve_is_expected_to_take_longer() -> None:
         return plan_visit(GEL, Sphere(), (Pose(depth_mm=depth_mm),), quality).solves[0].expected_core_s
 
     assert 0 < expected_s("draft", 0.2) < expected_s("draft", 0.6) < expected_s("standard", 0.6)
+
+
+def test_relief_that_the_mesh_itself_serves_makes_a_round_contact_less_certain() -> None:
+    place = np.arange(-30, 31) * 0.05
+    square = place**2 + place[:, None] ** 2
+    bowl = Surface.of(np.where(square <= 2.25, square / 6, np.inf), 0.05)
+    problem = plan_visit(GEL, bowl, [Pose(depth_mm=0.2)], "draft").solves[0].problem
+    assert problem.is_round
+    served, bridged = (
+        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0, folded=False)
+        for own in (problem, replace(problem, relief=bowl))
+    )
+    assert served.fz_error_n > 1.2 * bridged.fz_error_n
