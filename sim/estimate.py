@@ -149,13 +149,7 @@ def _tangential(solution: Solution, index: int) -> float:
 
 
 def diagnose(
-    solution: Solution,
-    index: int,
-    contact_radius_mm: float,
-    twist: float,
-    modulus_ratio: float,
-    *,
-    folded: bool,
+    solution: Solution, index: int, contact_radius_mm: float, twist: float, modulus_ratio: float
 ) -> Diagnostics:
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's.
 
@@ -191,7 +185,6 @@ def diagnose(
         contact_radius_error_mm=radius * contact_radius_mm,
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
-        folded=folded,
     )
 
 

@@ -44,7 +44,7 @@ def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[s
 
 
 def _found(record: Record, radius_mm: float, ratio: float = 1.0) -> Diagnostics:
-    return diagnose(_solution(_problem(), record), 0, radius_mm, 1.0, ratio, folded=False)
+    return diagnose(_solution(_problem(), record), 0, radius_mm, 1.0, ratio)
 
 
 def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
@@ -79,9 +79,9 @@ def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
     problem = plan_visit(GEL, Sphere(), drag, "draft").solves[0].problem
     forces_n = [(fx, 0.0, -0.4) for fx in (0.0, 0.1, 0.2, 0.3, 0.1, 0.0)]
     solution = _solution(problem, *(_record(force_n=force) for force in forces_n))
-    shear = [diagnose(solution, k, 0.7, 1.0, 1.0, folded=False).shear_error_n for k in range(1, 6)]
+    shear = [diagnose(solution, k, 0.7, 1.0, 1.0).shear_error_n for k in range(1, 6)]
     alone = _solution(problem, *[_record(force_n=(0.2, 0.0, -0.4))] * 6)
-    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, 1.0, folded=False).shear_error_n)
+    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, 1.0).shear_error_n)
     assert shear[0] < shear[1] < shear[2] < shear[3] < shear[4] < 1.5 * shear[2]
 
 
@@ -97,7 +97,6 @@ def test_a_lean_and_a_twist_have_estimates() -> None:
             1.65,
             1.0,
             1.0,
-            folded=False,
         )
         for body, record in zip((upright, leaning), records, strict=True)
     )
@@ -149,7 +148,7 @@ def test_relief_that_the_mesh_itself_serves_makes_a_round_contact_less_certain()
     problem = plan_visit(GEL, bowl, [Pose(depth_mm=0.2)], "draft").solves[0].problem
     assert problem.is_round
     served, bridged = (
-        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0, folded=False)
+        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0)
         for own in (problem, replace(problem, relief=bowl))
     )
     assert served.fz_error_n > 1.2 * bridged.fz_error_n
