@@ -169,6 +169,7 @@ def diagnose(
     share[:2] = np.hypot(share[:2], record.moved_error)
     fz, shear, radius, membrane = share.tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
+    torque_n_mm = abs(float(record.torque_n_mm[2]))
     found = asdict(record.diagnostics)
     found["elastic_energy_mj"] *= modulus_ratio
     # Where static friction holds many vertices, they may bear more than `friction` allows.
@@ -179,9 +180,7 @@ def diagnose(
         **found,
         fz_error_n=fz * force_n,
         shear_error_n=shear * force_n,
-        tz_error_n_mm=_twist_off(_cells(problem, contact_radius_mm), twist)
-        * modulus_ratio
-        * abs(float(record.torque_n_mm[2])),
+        tz_error_n_mm=_twist_off(_cells(problem, contact_radius_mm), twist) * modulus_ratio * torque_n_mm,
         contact_radius_error_mm=radius * contact_radius_mm,
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],

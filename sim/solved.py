@@ -198,13 +198,8 @@ class ContactSolve:
 
 
 @lru_cache(maxsize=64)
-def _membrane_and_edge(
-    solution: Solution, record_index: int
-) -> tuple[MembraneCubic | PolarTable, float, float]:
-    """Return the membrane of a record, its contact radius and its `twist_factor`, which many poses share."""
-    record = solution.records[record_index]
-    return (
-        membrane_between(solution, record),
-        contact_radius_mm(solution, record),
-        twist_factor(solution, record),
-    )
+def _membrane_and_edge(solution: Solution, index: int) -> tuple[MembraneCubic | PolarTable, float, float]:
+    """Return a record's membrane, contact radius and `twist_factor`, which many poses share."""
+    record = solution.records[index]
+    radius_mm, twist = contact_radius_mm(solution, record), twist_factor(solution, record)
+    return membrane_between(solution, record), radius_mm, twist
