@@ -15,7 +15,7 @@ from gelgap.assets.names import one_line
 from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.rim import sticking_share, twist_factor
+from gelgap.sim.rim import sticking_share
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
@@ -47,7 +47,8 @@ _VARIANCE_PER_CAUSE = (
 # A mesh between lines has its cells anywhere, not in the middle of each patch, as rings of cells have under a ring: a
 # torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once). A ball by its surface on a mesh
 # between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much beside
-# felupe. A share of the force, times a cell over the patch's radius.
+# felupe. So has one ring of waves that the mesh itself serves (1.0 % at `standard`). A share of the force, times a cell
+# over the patch's radius.
 _BETWEEN_LINES = 0.05
 # Around an edge sharper than a cell there are few vertices, which lie anywhere: a share of the force, times the cells
 # that fit the edge's radius, less one. A cylinder's force (R 1.5 on 3 mm, 0.5 deep) is 2.8 % too large with an edge of
@@ -148,13 +149,17 @@ def _tangential(solution: Solution, index: int) -> float:
 
 
 def diagnose(
-    solution: Solution, index: int, contact_radius_mm: float, modulus_ratio: float, *, folded: bool
+    solution: Solution, index: int, contact_radius_mm: float, twist: float, modulus_ratio: float
 ) -> Diagnostics:
-    """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's."""
+    """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's.
+
+    `twist` is the record's `twist_factor`.
+    """
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, contact_radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    if not (problem.indenter.convex or problem.is_round) or problem.is_ring:
+    bridges_a_disc = problem.is_round and not problem.is_ring and problem.relief is not None
+    if not (problem.indenter.convex or bridges_a_disc):
         variance[:2] += (_BETWEEN_LINES * problem.cell_mm / problem.meshed_radius_mm) ** 2
     if problem.covers_pad:
         variance[0] += _COVERED**2
@@ -164,6 +169,7 @@ def diagnose(
     share[:2] = np.hypot(share[:2], record.moved_error)
     fz, shear, radius, membrane = share.tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
+    torque_n_mm = abs(float(record.torque_n_mm[2]))
     found = asdict(record.diagnostics)
     found["elastic_energy_mj"] *= modulus_ratio
     # Where static friction holds many vertices, they may bear more than `friction` allows.
@@ -174,20 +180,15 @@ def diagnose(
         **found,
         fz_error_n=fz * force_n,
         shear_error_n=shear * force_n,
-        tz_error_n_mm=_twist_off(solution, record, contact_radius_mm)
-        * modulus_ratio
-        * abs(float(record.torque_n_mm[2])),
+        tz_error_n_mm=_twist_off(_cells(problem, contact_radius_mm), twist) * modulus_ratio * torque_n_mm,
         contact_radius_error_mm=radius * contact_radius_mm,
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
-        folded=folded,
     )
 
 
-def _twist_off(solution: Solution, record: Record, contact_radius_mm: float) -> float:
-    """Return by what share a sticking twist's torque may be off."""
-    cells = _cells(solution.problem, contact_radius_mm)
-    factor = twist_factor(solution, record)
+def _twist_off(cells: float, factor: float) -> float:
+    """Return by what share a sticking twist's torque may be off, by its `twist_factor`."""
     if factor == 1.0:
         return _TWIST_OFF_BY_CELLS / cells
     return factor * math.hypot(_CORRECTED_TWIST_OFF / cells**2, _TWIST_REFERENCE_OFF)

@@ -180,7 +180,7 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
-    found = diagnose(solution, placement.record, radius_mm, per_mpa, folded=False)
+    found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa)
     force_errors_n = found.fz_error_n, found.shear_error_n
     return {
         "displacement_mm": polar_table(solution, record).values,

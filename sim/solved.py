@@ -130,11 +130,11 @@ class ContactSolve:
                 x_mm, y_mm, flat.displacement_mm, flat.contact, flat.force_n, contact_solve=self
             )
         record, ratio = self.record, self.modulus_ratio
-        between, radius_mm = _membrane_and_radius(self.solution, placement.record)
+        between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
         rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        found = diagnose(self.solution, placement.record, radius_mm, ratio, folded=False)
+        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio)
         recesses = recesses_of(self.solution.problem)
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter
@@ -156,9 +156,7 @@ class ContactSolve:
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
-            torque_n_mm=placement.frame.torque_on_sensor(
-                record.torque_n_mm * [1, 1, twist_factor(self.solution, record)] * ratio
-            ),
+            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * [1, 1, twist] * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
             diagnostics=replace(found, folded=folded),
@@ -199,7 +197,8 @@ class ContactSolve:
 
 
 @lru_cache(maxsize=64)
-def _membrane_and_radius(solution: Solution, record_index: int) -> tuple[MembraneCubic | PolarTable, float]:
-    """Return the membrane of a record and its contact radius, which many poses share."""
-    record = solution.records[record_index]
-    return membrane_between(solution, record), contact_radius_mm(solution, record)
+def _membrane_and_edge(solution: Solution, index: int) -> tuple[MembraneCubic | PolarTable, float, float]:
+    """Return a record's membrane, contact radius and `twist_factor`, which many poses share."""
+    record = solution.records[index]
+    radius_mm, twist = contact_radius_mm(solution, record), twist_factor(solution, record)
+    return membrane_between(solution, record), radius_mm, twist

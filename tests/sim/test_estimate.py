@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_poses
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -44,7 +44,7 @@ def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[s
 
 
 def _found(record: Record, radius_mm: float, ratio: float = 1.0) -> Diagnostics:
-    return diagnose(_solution(_problem(), record), 0, radius_mm, ratio, folded=False)
+    return diagnose(_solution(_problem(), record), 0, radius_mm, 1.0, ratio)
 
 
 def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
@@ -79,9 +79,9 @@ def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
     problem = plan_visit(GEL, Sphere(), drag, "draft").solves[0].problem
     forces_n = [(fx, 0.0, -0.4) for fx in (0.0, 0.1, 0.2, 0.3, 0.1, 0.0)]
     solution = _solution(problem, *(_record(force_n=force) for force in forces_n))
-    shear = [diagnose(solution, k, 0.7, 1.0, folded=False).shear_error_n for k in range(1, 6)]
+    shear = [diagnose(solution, k, 0.7, 1.0, 1.0).shear_error_n for k in range(1, 6)]
     alone = _solution(problem, *[_record(force_n=(0.2, 0.0, -0.4))] * 6)
-    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, folded=False).shear_error_n)
+    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, 1.0).shear_error_n)
     assert shear[0] < shear[1] < shear[2] < shear[3] < shear[4] < 1.5 * shear[2]
 
 
@@ -96,7 +96,7 @@ def test_a_lean_and_a_twist_have_estimates() -> None:
             0,
             1.65,
             1.0,
-            folded=False,
+            1.0,
         )
         for body, record in zip((upright, leaning), records, strict=True)
     )
@@ -139,3 +139,16 @@ def test_a_finer_and_deeper_solve_is_expected_to_take_longer() -> None:
         return plan_visit(GEL, Sphere(), (Pose(depth_mm=depth_mm),), quality).solves[0].expected_core_s
 
     assert 0 < expected_s("draft", 0.2) < expected_s("draft", 0.6) < expected_s("standard", 0.6)
+
+
+def test_relief_that_the_mesh_itself_serves_makes_a_round_contact_less_certain() -> None:
+    place = np.arange(-30, 31) * 0.05
+    square = place**2 + place[:, None] ** 2
+    bowl = Surface.of(np.where(square <= 2.25, square / 6, np.inf), 0.05)
+    problem = plan_visit(GEL, bowl, [Pose(depth_mm=0.2)], "draft").solves[0].problem
+    assert problem.is_round
+    served, bridged = (
+        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0)
+        for own in (problem, replace(problem, relief=bowl))
+    )
+    assert served.fz_error_n > 1.2 * bridged.fz_error_n
