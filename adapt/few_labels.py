@@ -111,7 +111,7 @@ def fine_tune(
     ------
     ValueError
         If there are no frames, a label is outside the model's range, the model has an affine correction or
-        is of sequences.
+        is of trajectories.
     TrainingDiverged
         If the loss is no longer finite.
     """
@@ -120,9 +120,9 @@ def fine_tune(
         raise ValueError(
             "a model with an affine correction cannot be fine-tuned: fine-tune first, then correct"
         )
-    if model.profile.sequence_length > 1:
+    if model.profile.needs_trajectories:
         raise ValueError(
-            "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
+            "a model of trajectories cannot be fine-tuned: few frames are no trajectory; correct it instead"
         )
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.input_map)
