@@ -230,12 +230,8 @@ def check_trajectories(
     if not profile.needs_trajectories:
         return
     from_touch = INPUTS[profile.input].from_touch
-    alone = [name for pair in _TURNING for name in pair if len({*pair} & {*names}) == 1 and name in names]
-    if from_touch and (unread := [*alone, *(name for name in _PLACE if name in names)]):
-        raise ValueError(
-            f"input {profile.input} cannot show {', '.join(unread)}: training turns dents, shown from where they were "
-            "first touched; forces and torques along x and y are predicted together, places not at all"
-        )
+    if from_touch:
+        _check_turning(names)
     for frames, parts in zip(domains, (split[:2], split[2:]), strict=True):
         trajectory = trajectory_of(frames)
         longest = int(np.bincount(trajectory).max())
@@ -256,6 +252,16 @@ def check_trajectories(
                 f"split_by = {profile.split_by!r} divides trajectory {number} of {frames.name}; a sequence needs it "
                 f"whole: set split_by to point or {TRAJECTORY}"
             )
+
+
+def _check_turning(names: Sequence[str]) -> None:
+    """Check that labels of these names turn with a dent (`turn_dents`), or stay."""
+    lone = [name for x, y in _TURNING if (x in names) != (y in names) for name in (x, y) if name in names]
+    if unread := [*lone, *(name for name in _PLACE if name in names)]:
+        raise ValueError(
+            f"input touch cannot show {', '.join(unread)}: training turns dents, shown from where they were first "
+            "touched; forces and torques along x and y are predicted together, places not at all"
+        )
 
 
 class NetworkInputs:

@@ -10,7 +10,7 @@ from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, read_image
 from gelgap.domains import Labels
-from gelgap.domains.frames.first_touch import change_of, dent_centre_px
+from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
 NamedPicture = tuple[str, np.ndarray]
 # Of a range: the network's sigmoid comes no closer to a bound, however far beyond it the truth is.
@@ -50,7 +50,7 @@ def predict_each(
             raise ValueError(f"{name}: {error}") from None
         if INPUTS[model.profile.input].from_touch:
             change = change_of(picture, reference, model.profile.image_size_px)
-            touch = [] if dent_centre_px(change) is None else touch or [picture]
+            touch = (touch or [picture]) if len(dent_pixels(change)) else []
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
         yield {"picture": name, **labels, "note": range_note(model.labels, predicted, model.correction)}
 

@@ -3,10 +3,13 @@
 Under another light R² of shear is 0.8 to 0.97, where single pictures have 0.2 at most (docs/results/README.md).
 """
 
+import logging
+
 import numpy as np
 
 from gelgap.domains.frames.dataset import LabelledFrames
 
+LOG = logging.getLogger(__name__)
 TRAJECTORY, STEP = "trajectory_id", "step"
 _SPAN = 2 / 3  # of the picture's width and height is shown
 # The norm of the three colours' change, of the range, that there is in a contact, and at a pixel of its dent: blurred
@@ -14,6 +17,8 @@ _SPAN = 2 / 3  # of the picture's width and height is shown
 _LEAST_CONTACT, _LEAST_CHANGE = 0.03, 0.02
 # Of the largest change in a picture, that a pixel of the dent has at least.
 _SHARE = 0.15
+# Of the pixels of a contact's largest dent: one that begins with more has been pressed before.
+_LATE = 0.6
 _BLUR_PX = 0.6  # of a pixel that is shown
 # The root mean square by which a part without a dent is divided, of the range.
 _LEAST_RMS = 0.005
@@ -35,19 +40,32 @@ def dents_from_touch(frames: LabelledFrames, size_px: tuple[int, int]) -> np.nda
     """Return the dent of each frame around its place of first touch, (n, h, w, 2) float16 as `dent_at` shows it.
 
     That place is the dent's centre in the first frame of the frame's contact, in its trajectory and by step; where a
-    contact has ended, the next one has its own. Without contact nothing is shown. A frame takes 6 ms of a core.
+    contact has ended, the next one has its own. Without contact nothing is shown. A frame takes 6 ms of a core. A
+    warning says so if most contacts begin with a dent that is hardly smaller than it becomes.
     """
     shown = np.zeros((len(frames), size_px[1], size_px[0], 2), np.float16)
     references = [read() for read in frames.rest_pictures]
     trajectory = trajectory_of(frames)
-    centre_px, before = None, -1
+    sizes_px: list[list[int]] = []  # of the dents of each contact
+    centre_px, before = np.zeros(2), -1
     for row in np.lexsort([frames.columns[STEP], trajectory]):
         change = change_of(frames.picture(int(row)), references[frames.reference_id[row]], size_px)
-        own_px = dent_centre_px(change)
-        goes_on = trajectory[row] == before and own_px is not None and centre_px is not None
-        centre_px, before = centre_px if goes_on else own_px, trajectory[row]
-        if centre_px is not None:
-            shown[row] = dent_at(change, centre_px, size_px)
+        dent_px = dent_pixels(change)
+        if not len(dent_px):
+            before = -1
+            continue
+        if trajectory[row] != before:
+            centre_px, before = dent_px.mean(axis=0), trajectory[row]
+            sizes_px.append([])
+        sizes_px[-1].append(len(dent_px))
+        shown[row] = dent_at(change, centre_px, size_px)
+    followed = [sizes for sizes in sizes_px if len(sizes) > 1]
+    late = sum(sizes[0] > _LATE * max(sizes) for sizes in followed)
+    if 2 * late > len(followed):
+        LOG.warning(
+            f"input touch: {frames.name}: {late} of {len(followed)} contacts begin with a dent that is hardly smaller "
+            "than it becomes, so that they may have been dragged before; record them from a light touch on"
+        )
     return shown
 
 
@@ -59,12 +77,11 @@ def change_of(picture: np.ndarray, reference: np.ndarray, size_px: tuple[int, in
     return cv2.GaussianBlur((picture.astype(np.float32) - reference) / 255, (0, 0), blur_px)
 
 
-def dent_centre_px(change: np.ndarray) -> np.ndarray | None:
-    """Return the mean place (x, y) of the pixels that belong to a dent, by `change_of`; None without contact."""
+def dent_pixels(change: np.ndarray) -> np.ndarray:
+    """Return the pixels (k, 2), x and y, that belong to a dent, by `change_of`; none without contact."""
     strength = np.linalg.norm(change, axis=2)
-    if (largest := strength.max()) < _LEAST_CONTACT:
-        return None
-    return np.argwhere(strength > max(_LEAST_CHANGE, _SHARE * largest)).mean(axis=0)[::-1]
+    least = max(_LEAST_CHANGE, _SHARE * strength.max())
+    return np.argwhere((strength > least) & (strength.max() > _LEAST_CONTACT))[:, ::-1]
 
 
 def dent_at(change: np.ndarray, centre_px: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

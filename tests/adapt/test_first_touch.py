@@ -8,7 +8,9 @@ import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, split_for_training, train_source
 from gelgap.adapt.data import Batch, turn_dents
+from gelgap.adapt.few_labels import affine_correction
 from gelgap.adapt.prediction import predict_each
+from gelgap.adapt.trainer import untrained
 from gelgap.domains import ArrayFrames, Labels
 from gelgap.domains.frames.first_touch import dents_from_touch
 
@@ -114,8 +116,13 @@ def test_a_network_is_trained_on_dents_and_reads_pictures_one_by_one_as_frames(t
         model.predict(frames.picture(3), frames.reference)
 
 
-def test_what_has_no_first_touch_is_refused():
+def test_what_has_no_first_touch_is_refused_or_said(caplog):
     frames = trajectories()
+    with pytest.raises(ValueError, match="few labelled frames lack their first touch"):
+        affine_correction(untrained(frames, TOUCH), frames)
+    assert "input touch" not in caplog.text
+    dents_from_touch(frames.take(np.isin(frames.columns["step"], (2, 3, 4))), SIZE_PX)
+    assert "drags: 8 of 8 contacts begin with a dent that is hardly smaller than it becomes" in caplog.text
     for without, message in (
         (trajectories(step=True), "drags has no column step: the input touch"),
         (frames.take(frames.columns["step"] == 3), "input touch: each trajectory of drags has one frame"),
