@@ -1,6 +1,7 @@
 """Dents around the place where their contact began: without markers, how far a dent has moved is what tells shear.
 
-Under another light R² of shear is 0.8 to 0.97, where single pictures have 0.2 at most (docs/results/README.md).
+In another light R² of shear is 0.90 to 0.98, where single pictures by losses have 0.2 in the mean
+(docs/results/README.md).
 """
 
 import logging
