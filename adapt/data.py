@@ -14,15 +14,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
+from gelgap.adapt.inputs import INPUTS, Found, InputMap
 from gelgap.adapt.profile import Profile
-from gelgap.domains import LabelledFrames, split_domains, with_labels
+from gelgap.domains import LabelledFrames, Labels, split_domains, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
+from gelgap.domains.frames.first_touch import STEP, TRAJECTORY, trajectory_of
 from gelgap.domains.frames.paired_frames import PairedFrames
 from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
 from gelgap.domains.frames.splits import DomainSplit
 
-TRAJECTORY, STEP = "trajectory_id", "step"
+# Labels that turn with a picture, and those that no part of a picture shows.
+_TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
 FRAMES_SHOWN = 400
@@ -90,7 +92,8 @@ def split_for_training(
     ------
     ValueError
         If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
-        wrong, fewer than two target frames can be trained on, or sequences are not possible (`check_sequences`).
+        wrong, fewer than two target frames can be trained on, or what is shown of trajectories is not possible
+        (`check_trajectories`).
     """
     labelled, target, names = labelled_for_run(source, target, labels)
     is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
@@ -104,7 +107,7 @@ def split_for_training(
         profile.stratify_by,
         is_labelled,
     )
-    check_sequences((labelled, target), split, profile)
+    check_trajectories((labelled, target), split, profile, names)
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
@@ -168,6 +171,7 @@ class Draw(IntEnum):
     FINE_TUNING = 10
     METHOD = 11
     SHIFTS = 12
+    TURNS = 13
 
 
 def generator(*key: int) -> np.random.Generator:
@@ -197,24 +201,12 @@ def hidden_batches(n: int, share: float, *key: int) -> np.ndarray:
     return generator(Draw.MARKERS, *key).random(n) < share
 
 
-def _trajectory_of(frames: LabelledFrames) -> np.ndarray:
-    """Return the number of each frame's trajectory (n,), which is of one sensor; a ValueError where it is not known."""
-    for name in (TRAJECTORY, STEP):
-        if name not in frames.columns:
-            raise ValueError(
-                f"data set {frames.name} has no column {name}: sequence_length above 1 needs {TRAJECTORY} and {STEP} "
-                "of each frame"
-            )
-    keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY]], axis=1)
-    return np.unique(keys, axis=0, return_inverse=True)[1]
-
-
 def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
     """Return for each frame the rows (n, length) of its trajectory up to it, by step, the frame itself last.
 
     Before a trajectory its first frame is repeated: no window crosses from one into another.
     """
-    trajectory, n = _trajectory_of(frames), np.arange(len(frames))
+    trajectory, n = trajectory_of(frames), np.arange(len(frames))
     order = np.lexsort([frames.columns[STEP], trajectory])
     begins = np.append(True, np.diff(trajectory[order]) != 0)
     first = np.maximum.accumulate(np.where(begins, n, 0))
@@ -224,23 +216,34 @@ def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
     return windows
 
 
-def check_sequences(domains: Sequence[LabelledFrames], split: DomainSplit, profile: Profile) -> None:
-    """Check that trajectories are known, one is as long as a sequence, and none is divided by the split.
+def check_trajectories(
+    domains: Sequence[LabelledFrames], split: DomainSplit, profile: Profile, names: Sequence[str]
+) -> None:
+    """Check that trajectories are known, one is as long as what is shown of it, and none is divided by the split.
 
     Raises
     ------
     ValueError
-        If one of this is not so; the message names data set and trajectory.
+        If one of this is not so, or labels of these names cannot be read from dents that are turned; the message names
+        data set and trajectory.
     """
-    if profile.sequence_length == 1:
+    if not profile.needs_trajectories:
         return
+    from_touch = INPUTS[profile.input].from_touch
+    if from_touch:
+        _check_turning(names)
     for frames, parts in zip(domains, (split[:2], split[2:]), strict=True):
-        trajectory = _trajectory_of(frames)
+        trajectory = trajectory_of(frames)
         longest = int(np.bincount(trajectory).max())
         if longest < profile.sequence_length:
             raise ValueError(
                 f"sequence_length = {profile.sequence_length}: the longest trajectory of {frames.name} has {longest} "
                 f"frames; it must be 1 to {longest}"
+            )
+        if from_touch and longest == 1:
+            raise ValueError(
+                f"input {profile.input}: each trajectory of {frames.name} has one frame; it needs those from first "
+                "touch on"
             )
         seen = np.concatenate([np.unique(trajectory[rows]) for rows in parts])
         if len(divided := np.flatnonzero(np.bincount(seen) > 1)):
@@ -251,6 +254,16 @@ def check_sequences(domains: Sequence[LabelledFrames], split: DomainSplit, profi
             )
 
 
+def _check_turning(names: Sequence[str]) -> None:
+    """Check that labels of these names turn with a dent (`turn_dents`), or stay."""
+    lone = [name for x, y in _TURNING if (x in names) != (y in names) for name in (x, y) if name in names]
+    if unread := [*lone, *(name for name in _PLACE if name in names)]:
+        raise ValueError(
+            f"input touch cannot show {', '.join(unread)}: training turns dents, shown from where they were first "
+            "touched; forces and torques along x and y are predicted together, places not at all"
+        )
+
+
 class NetworkInputs:
     """The pictures of a domain as a network is shown them, on the device, a batch at a time.
 
@@ -259,7 +272,7 @@ class NetworkInputs:
 
     def __init__(
         self,
-        pictures: PairedFrames | Displacements,
+        pictures: PairedFrames | Found,
         input_map: InputMap | None = None,
         windows: Tensor | None = None,
     ) -> None:
@@ -295,9 +308,9 @@ def network_inputs(
     shown, windows = INPUTS[profile.input], None
     if profile.sequence_length > 1:
         windows = torch.from_numpy(windows_of(frames, profile.sequence_length)).to(device)
-    if shown.shows_displacement:
-        moved = Displacements(frames, profile.image_size_px, profile.marker_span_mm, device)
-        return NetworkInputs(moved, windows=windows)
+    if shown.find is not None:
+        found = Found(shown, frames, profile.image_size_px, profile.marker_span_mm, device)
+        return NetworkInputs(found, windows=windows)
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures, windows=windows)
@@ -336,7 +349,7 @@ class TrainingDomain:
         self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:
             self.without_markers = network_inputs(frames, profile, device, self.pictures.map, markers=False)
-        self.device = device
+        self.device, self.labels = device, frames.labels
         self.force = self.contact_class = None
         if labelled:
             self.force = torch.from_numpy(normalised_labels(frames)).to(device)
@@ -384,3 +397,31 @@ def shift_pictures(pictures: Tensor, most_px: int, rng: np.random.Generator) -> 
     offsets = rng.integers(0, 2 * most_px + 1, (len(pictures), 2)).tolist()
     shifted = [padded[k, :, y : y + height, x : x + width] for k, (x, y) in enumerate(offsets)]
     return torch.stack(shifted).contiguous(memory_format=torch.channels_last)
+
+
+def turn_dents(batch: Batch, labels: Labels, rng: np.random.Generator) -> Batch:
+    """Turn inputs (B, C, h, w) about their centre, each by an angle of its own, forces and torques with them.
+
+    A dent that is turned is a dent under lamps elsewhere: a network must read forces from what all lights share. That
+    takes R² of shear in another light from 0.6 to 0.96 (docs/results/README.md). Beyond the edge nothing has changed.
+    """
+    angle = torch.from_numpy(rng.uniform(0, 2 * np.pi, len(batch.inputs))).to(batch.inputs)
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    height, width = batch.inputs.shape[2:]
+    # Of the place that is shown at a pixel; either axis runs from −1 to 1.
+    rows = (cos, sin * height / width, zero), (-sin * width / height, cos, zero)
+    before = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+    grid = functional.affine_grid(before, list(batch.inputs.shape), align_corners=False)
+    inputs = functional.grid_sample(batch.inputs, grid, align_corners=False)
+    inputs = inputs.contiguous(memory_format=torch.channels_last)
+    if batch.force is None:
+        return batch._replace(inputs=inputs)
+    low, high = (batch.force.new_tensor(bound) for bound in (labels.low, labels.high))
+    values = low + batch.force * (high - low)
+    turned = values.clone()
+    for pair in _TURNING:
+        if pair[0] in labels.names:
+            x, y = map(labels.names.index, pair)
+            turned[:, x] = cos * values[:, x] - sin * values[:, y]
+            turned[:, y] = sin * values[:, x] + cos * values[:, y]
+    return batch._replace(inputs=inputs, force=(turned - low) / (high - low))

@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
@@ -111,7 +112,7 @@ def fine_tune(
     ------
     ValueError
         If there are no frames, a label is outside the model's range, the model has an affine correction or
-        is of sequences.
+        is of sequences or of dents from first touch.
     TrainingDiverged
         If the loss is no longer finite.
     """
@@ -149,7 +150,7 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     Raises
     ------
     ValueError
-        If there are no frames, or a label is outside the model's range.
+        If there are no frames, a label is outside the model's range, or the model is of dents from first touch.
     """
     _check(model, frames)
     predicted = model.predict_frames(frames)
@@ -182,6 +183,11 @@ def _ridge_of_one_penalty(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 def _check(model: ForceModel, frames: LabelledFrames) -> None:
     if len(frames) == 0:
         raise ValueError(f"there are no labelled frames of {frames.name}; at least 1 is needed")
+    if INPUTS[model.profile.input].from_touch:
+        raise ValueError(
+            f"input {model.profile.input}: few labelled frames lack their first touch, so that such a model is neither "
+            "fine-tuned nor corrected by them; a ratio of moduli scales it (with_modulus_ratio)"
+        )
     if frames.labels != model.labels:
         raise ValueError(
             f"{frames.name} has the labels {frames.labels}, the model {model.labels}; they must have one range: "

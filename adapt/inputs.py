@@ -52,15 +52,17 @@ class InputMap(NamedTuple):
 class Input:
     """One way to show pictures: what it is, and the map of a domain, from its pictures (None: as they are paired).
 
-    It may have another number of channels than paired pictures, need their difference, show how far markers have moved
-    instead of colours, or have a backbone that stays as the checkpoint has it from which training starts.
+    It may have another number of channels than paired pictures, need their difference, or have a backbone that stays as
+    the checkpoint has it from which training starts. `find` gives what is shown instead of colours, (n, h, w, channels)
+    of frames, a size in px and a span in mm. If it is `from_touch`, frames need their trajectory, and are turned.
     """
 
     about: str
     fit: "Callable[[PairedFrames], InputMap] | None" = None
     channels: int | None = None
     needs_difference: bool = False
-    shows_displacement: bool = False
+    find: "Callable[[LabelledFrames, tuple[int, int], tuple[float, float]], np.ndarray] | None" = None
+    from_touch: bool = False
     frozen: bool = False
 
 
@@ -115,54 +117,16 @@ def calibration(pictures: "PairedFrames") -> InputMap:
     return InputMap.of(matrix / np.sqrt(variance)[:, None])
 
 
-INPUTS = {
-    "pictures": Input("the picture and its reference as the profile pairs them"),
-    "calibrated": Input(
-        "colours turned into slopes by one matrix a domain", calibration, needs_difference=True
-    ),
-    "standardised": Input("each channel standardised by its domain's pictures", standardisation),
-    "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
-    "markers": Input("how far markers have moved", None, 2, needs_difference=True, shows_displacement=True),
-    "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
-}
-"""What a network can be shown."""
-
-
-class Displacements:
-    """How far the membrane of each frame has moved along x and y, (n, 2, h, w) in mm.
+def displacement_fields(
+    frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]
+) -> np.ndarray:
+    """Return how far the membrane has moved along x and y, (n, h, w, 2) in mm, float16: to 0.2 µm of 0.5 mm.
 
     Markers are found and matched in the stored pictures and interpolated on a grid of the gel, which is the same for
     every sensor, whatever its pattern, camera and light (`gelgap.domains.frames.marker_motion`).
 
     Raises a ValueError if mm per pixel are not known, a reference shows no markers, or most pictures show other ones.
     """
-
-    def __init__(
-        self, frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float], device: object
-    ) -> None:
-        import torch
-
-        kept = _FIELDS.setdefault(frames, {})
-        if (size_px, span_mm) not in kept:
-            kept[size_px, span_mm] = _displacement_fields(frames, size_px, span_mm)
-        self._fields = torch.from_numpy(kept[size_px, span_mm]).to(device)
-
-    def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
-        """Return the displacements (B, 2, h, w) of these frames."""
-        return self._fields[rows].float().permute(0, 3, 1, 2)
-
-    def __len__(self) -> int:
-        return len(self._fields)
-
-
-# Every stage and evaluation of a run asks for them.
-_FIELDS: "WeakKeyDictionary[LabelledFrames, dict[object, np.ndarray]]" = WeakKeyDictionary()
-
-
-def _displacement_fields(
-    frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]
-) -> np.ndarray:
-    """Return displacements (n, h, w, 2) in mm, float16: to 0.2 µm of 0.5 mm."""
     fields = np.zeros((len(frames), size_px[1], size_px[0], 2), np.float16)
     unmatched = []
     for number, (read, camera) in enumerate(zip(frames.rest_pictures, frames.cameras, strict=True)):
@@ -197,6 +161,13 @@ def _displacement_fields(
     return fields
 
 
+def dents(frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]) -> np.ndarray:
+    """Return dents and their edges around the place of first touch, (n, h, w, 2) float16 (`dents_from_touch`)."""
+    from gelgap.domains.frames.first_touch import dents_from_touch
+
+    return dents_from_touch(frames, size_px)
+
+
 @lru_cache(maxsize=16)
 def _rest(
     reference: bytes,
@@ -210,3 +181,57 @@ def _rest(
 
     tracker = MarkerTracker(np.frombuffer(reference, np.uint8).reshape(shape), camera)
     return tracker, ThinPlate(tracker.rest_mm, size_px, span_mm)
+
+
+INPUTS = {
+    "pictures": Input("the picture and its reference as the profile pairs them"),
+    "calibrated": Input(
+        "colours turned into slopes by one matrix a domain", calibration, needs_difference=True
+    ),
+    "standardised": Input("each channel standardised by its domain's pictures", standardisation),
+    "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
+    "markers": Input("how far markers have moved", None, 2, needs_difference=True, find=displacement_fields),
+    "touch": Input(
+        "dents around the place where their contact began",
+        None,
+        2,
+        needs_difference=True,
+        find=dents,
+        from_touch=True,
+    ),
+    "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
+}
+"""What a network can be shown."""
+
+
+class Found:
+    """What is found in the stored pictures of frames and shown instead of their colours, (n, c, h, w).
+
+    `shown.find` says what it can refuse: for markers in mm (`displacement_fields`), for dents their trajectory.
+    """
+
+    def __init__(
+        self,
+        shown: Input,
+        frames: "LabelledFrames",
+        size_px: tuple[int, int],
+        span_mm: tuple[float, float],
+        device: object,
+    ) -> None:
+        import torch
+
+        kept, key = _FIELDS.setdefault(frames, {}), (shown.about, size_px, span_mm)
+        if key not in kept:
+            kept[key] = shown.find(frames, size_px, span_mm)
+        self._fields = torch.from_numpy(kept[key]).to(device)
+
+    def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
+        """Return what is shown of these frames, (B, c, h, w)."""
+        return self._fields[rows].float().permute(0, 3, 1, 2)
+
+    def __len__(self) -> int:
+        return len(self._fields)
+
+
+# Every stage and evaluation of a run asks for them.
+_FIELDS: "WeakKeyDictionary[LabelledFrames, dict[object, np.ndarray]]" = WeakKeyDictionary()

@@ -11,7 +11,7 @@ from pydantic import FiniteFloat, PositiveInt, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import SAME_ASPECT, STEP, TRAJECTORY, Draw, epoch_order, network_inputs
+from gelgap.adapt.data import SAME_ASPECT, Draw, epoch_order, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import ForceNetwork, ResNet, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
@@ -20,6 +20,7 @@ from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
 from gelgap.domains import ArrayFrames, LabelledFrames, Labels
 from gelgap.domains.frames.dataset import Camera
+from gelgap.domains.frames.first_touch import STEP, TRAJECTORY
 from gelgap.domains.frames.labels import FORCE_COLUMNS
 
 _FORMAT = 2
@@ -90,7 +91,7 @@ class ForceModel:
     def predict(self, picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Return the labels (k,) of a picture (h, w, 3) uint8 RGB, or (n, k) of several (n, h, w, 3), each in its unit.
 
-        A model of sequences takes several as one trajectory, in their order.
+        A model of sequences, or of dents from first touch, takes several as one trajectory, in their order.
 
         The reference is the same sensor's picture without contact, (h, w, 3). Pictures have the aspect of those that
         the model was trained on and at least the size of the network's, to which they are reduced as in training.
@@ -99,7 +100,7 @@ class ForceModel:
         ------
         ValueError
             If a picture has another shape or type, another size than the reference, another aspect, or is too small; if
-            a single one is given to a model of sequences;
+            a single one is given to a model that needs trajectories;
             for the input `markers` if the reference shows no markers.
         """
         picture, reference = np.asarray(picture), np.asarray(reference)
@@ -120,10 +121,11 @@ class ForceModel:
                 f"the picture is {width}×{height} px; the model is for pictures of {w0}×{h0} px and would be shown a "
                 "squeezed one: crop picture and reference to that aspect"
             )
-        if picture.ndim == 3 and self.profile.sequence_length > 1:
+        if picture.ndim == 3 and self.profile.needs_trajectories:
             raise ValueError(
-                f"the model is shown sequences of {self.profile.sequence_length} pictures, not a single one: give the "
-                "pictures of one trajectory (n, h, w, 3) in their order"
+                f"the model is shown trajectories (input {self.profile.input}, sequences of "
+                f"{self.profile.sequence_length} pictures), not a single picture: give the pictures of one trajectory "
+                "(n, h, w, 3) in their order"
             )
         unknown = {TRAJECTORY: np.zeros(len(pictures), int), STEP: np.arange(len(pictures))}
         unknown |= {self.labels.names[0]: np.full(len(pictures), np.nan)}

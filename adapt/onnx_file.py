@@ -53,17 +53,17 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
     Raises
     ------
     ValueError
-        If the package onnx or onnxruntime is missing, the input is `markers`, or the file computes something else than
-        the model.
+        If the package onnx or onnxruntime is missing, the input is `markers` or `touch`, or the file computes something
+        else than the model.
     """
     if missing := [name for name in _NEEDED if find_spec(name) is None]:
         raise ValueError(
             f"export to ONNX needs the package {' and '.join(missing)}; install it with: pip install 'gelgap[onnx]'"
         )
-    if INPUTS[model.profile.input].shows_displacement:
+    if INPUTS[model.profile.input].find is not None:
         raise ValueError(
-            f"input {model.profile.input}: markers and their motion are found outside the network, which ONNX cannot "
-            "hold; export a model of another input"
+            f"input {model.profile.input}: what it shows is found outside the network, which ONNX cannot hold; export "
+            "a model of another input"
         )
     if model.profile.sequence_length > 1:
         raise ValueError(

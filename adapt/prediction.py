@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, read_image
 from gelgap.domains import Labels
+from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
 NamedPicture = tuple[str, np.ndarray]
 # Of a range: the network's sigmoid comes no closer to a bound, however far beyond it the truth is.
@@ -20,7 +22,7 @@ def predict_each(
 ) -> Iterator[dict[str, object]]:
     """Yield a row for each picture: its name as `picture`, the labels by name, each in its unit, and a `note`.
 
-    A model of sequences takes the pictures of a folder, or of a camera, as one trajectory in the order given.
+    A model of trajectories takes the pictures of a folder, or of a camera, as one in the order given.
 
     Raises
     ------
@@ -29,22 +31,26 @@ def predict_each(
     """
     clip: Path | None = None
     latest: deque[np.ndarray] = deque(maxlen=model.profile.sequence_length)
+    touch: list[np.ndarray] = []  # the picture in which the present contact began
     for name, picture in pictures:
         if clip != Path(name).parent:
             clip = Path(name).parent
             latest.clear()
+            touch.clear()
         latest.append(picture)
         try:
             if latest[0].shape != picture.shape:
                 raise ValueError("it has another size than the picture before it in its folder")
-            single = latest.maxlen == 1
             predicted = (
-                model.predict(picture, reference)
-                if single
-                else model.predict(np.stack(latest), reference)[-1]
+                model.predict(np.stack([*touch, *latest]), reference)[-1]
+                if model.profile.needs_trajectories
+                else model.predict(picture, reference)
             )
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
+        if INPUTS[model.profile.input].from_touch:
+            change = change_of(picture, reference, model.profile.image_size_px)
+            touch = (touch or [picture]) if len(dent_pixels(change)) else []
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
         yield {"picture": name, **labels, "note": range_note(model.labels, predicted, model.correction)}
 

@@ -38,7 +38,8 @@ class Profile(PresetSettings):
     pairing: Literal["channels", "stack", "difference"] = "channels"
     """contact and reference picture as 6 channels, one above the other, or their difference"""
     input: str = Field(default="pictures", json_schema_extra={"enum": list(INPUTS)})
-    """what the network is shown of them: pictures (as paired), standardised, calibrated, grey, markers or pretrained"""
+    """what the network is shown of them: pictures (as paired), standardised, calibrated, grey, markers, touch or
+    pretrained"""
     marker_span_mm: tuple[Span, Span] = Field(
         default=(12.0, 9.0), exclude_if=lambda value: value == (12.0, 9.0)
     )
@@ -137,8 +138,14 @@ class Profile(PresetSettings):
             raise ValueError(f"input {self.input}: needs pairing 'difference', not {self.pairing!r}")
         if shown.channels is not None and self.colour_mixing:
             raise ValueError(f"input {self.input}: has no colours to mix; colour_mixing must be 0")
-        if shown.shows_displacement and self.marker_hiding:
-            raise ValueError(f"input {self.input}: shows the markers alone; marker_hiding must be 0")
+        if shown.find is not None and self.marker_hiding:
+            raise ValueError(
+                f"input {self.input}: shows no pictures with and without markers; marker_hiding must be 0"
+            )
+        if shown.from_touch and self.shift_px:
+            raise ValueError(
+                f"input {self.input}: shows how far a dent is from its place; shift_px must be 0"
+            )
         return self
 
     @property
@@ -151,6 +158,11 @@ class Profile(PresetSettings):
         """Channels, height and width of one frame of the network's input."""
         width, height = self.image_size_px
         return self.in_channels, height * (2 if self.pairing == "stack" else 1), width
+
+    @property
+    def needs_trajectories(self) -> bool:
+        """Whether a frame is shown with what came before it."""
+        return self.sequence_length > 1 or INPUTS[self.input].from_touch
 
     @property
     def judges_by_own_statistics(self) -> bool:

@@ -27,6 +27,7 @@ from gelgap.adapt.data import (
     mix_colours,
     shift_pictures,
     steps_per_epoch,
+    turn_dents,
 )
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
@@ -97,7 +98,8 @@ def train_source(
             progress=progress,
             frames_of_epoch=frames_of_epoch,
         )
-        if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
+        turned = INPUTS[profile.input].from_touch
+        if profile.colour_mixing or profile.marker_hiding or profile.shift_px or turned:
             estimate_statistics(model.network, source, profile, seed)
     model.network.eval()
     history = tuple(map(asdict, records))
@@ -340,7 +342,10 @@ def _one_pass(
     rows = epoch_order(len(domain), profile.batch_size, seed, draw, number)
     hidden = hidden_batches(len(rows), profile.marker_hiding, seed, draw, number)
     for step in range(first, len(rows)):
-        yield domain.batch(rows[step], hidden[step])
+        batch = domain.batch(rows[step], hidden[step])
+        if INPUTS[profile.input].from_touch:
+            batch = turn_dents(batch, domain.labels, generator(Draw.TURNS, seed, draw, number, step))
+        yield batch
 
 
 def _cycled(target: TrainingDomain, profile: Profile, seed: int, step: int) -> Iterator[Batch]:

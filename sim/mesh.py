@@ -482,8 +482,9 @@ def elimination_order(graph: sparse.csr_array, last: Ints) -> Ints:
     neighbours.setdiag(0)
     neighbours.eliminate_zeros()
     try:
-        ordered, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(neighbours.indptr, neighbours.indices))
+        adjacency = pymetis.CSRAdjacency(neighbours.indptr, neighbours.indices)
+        ordered = np.asarray(pymetis.nested_dissection(adjacency)[0])
     except RuntimeError:
         dominant = neighbours.astype(float) + sparse.diags_array(1.0 + np.diff(neighbours.indptr))
         ordered = np.argsort(splu(dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).perm_c)
-    return np.concatenate([inner[np.asarray(ordered)], last])
+    return np.concatenate([inner[ordered], last])

@@ -8,16 +8,16 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gelgap.adapt.inputs import INPUTS
 from gelgap.assets.locks import counted_stops
 from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
+from gelgap.benchmarks.adaptation.inputs_and_lights import BOARD_INPUTS
 from gelgap.benchmarks.adaptation.leaderboard import SOURCES
 from gelgap.benchmarks.adaptation.report import PARTS, measure
 from gelgap.benchmarks.adaptation.study import BOARD, Study
 
 _BAD_INPUT, _INTERRUPTED = 2, 130
 KNOWN = {f"{source}:{target}": (source, target) for source, target in (*GROUPS, *LIGHT_GROUPS)}
-SHOWN = (*(name for name, shown in INPUTS.items() if not shown.frozen), *SOURCES)
+SHOWN = (*BOARD_INPUTS, *SOURCES)
 
 
 def run(

@@ -32,28 +32,27 @@ INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
 GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0i0", "wmb0i0"))
 """Light alone, light and gel, markers."""
 LIGHT_METHODS = (PLAIN, "adabn")
+BOARD_INPUTS = tuple(name for name, shown in INPUTS.items() if not shown.frozen and not shown.from_touch)
+"""What the board can show: a pretrained backbone needs a file, and first touch several frames of a contact."""
 _SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
 def changes_of(name: str) -> board.Changes:
     """Return the changes of the profile that show an input."""
-    hiding = (("marker_hiding", 0.0),) if INPUTS[name].shows_displacement else ()
+    hiding = (("marker_hiding", 0.0),) if INPUTS[name].find else ()
     return BY_POINT if name == "pictures" else (*BY_POINT, ("input", name), *hiding)
 
 
 def input_grid(
     groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int], inputs: Sequence[str] = ()
 ) -> list[Setting]:
-    """Return the runs of some inputs, or of every one that a group can show.
-
-    A pretrained backbone needs a file and is left out.
-    """
+    """Return the runs of some inputs, or of every one that a group can show."""
     with_markers = [group for group in groups if not any("wm" in domain for domain in group)]
     runs: list[Setting] = []
     for seed in seeds:
-        for name, shown in INPUTS.items():
-            if not shown.frozen and (name in inputs or not inputs):
-                own = with_markers if shown.shows_displacement else groups
+        for name in BOARD_INPUTS:
+            if name in inputs or not inputs:
+                own = with_markers if INPUTS[name].find else groups
                 runs += grid([(board.DATA, group) for group in own], methods, [seed], changes_of(name))
     return runs
 

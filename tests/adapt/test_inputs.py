@@ -6,7 +6,7 @@ import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs
-from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
+from gelgap.adapt.inputs import INPUTS, Found, InputMap
 from gelgap.domains import ArrayFrames
 from gelgap.render import Camera
 
@@ -97,20 +97,22 @@ def dotted(shifts_px: list[float], pitch_px: int = 20) -> np.ndarray:
     return np.stack(pictures).astype(np.uint8)
 
 
+def displacements(frames: ArrayFrames) -> Found:
+    return Found(INPUTS["markers"], frames, SIZE_PX, (12.0, 9.0), "cpu")
+
+
 def test_displacement_is_how_far_the_dots_have_moved_in_mm_whatever_their_pitch(caplog):
     camera = Camera.showing(12.0)  # 0.075 mm per pixel
     for pitch_px in (16, 20):
         images = dotted([0, 3, -3], pitch_px)
         frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)), camera=camera)
-        moved = Displacements(frames, SIZE_PX, (12.0, 9.0), "cpu").inputs(np.arange(3)).numpy()
+        moved = displacements(frames).inputs(np.arange(3)).numpy()
         middle = moved[:, :, 12:-12, 15:-15]
         np.testing.assert_allclose(middle[:, 0].mean(axis=(1, 2)), [0, 0.225, -0.225], atol=0.005)
         np.testing.assert_allclose(middle[:, 1], 0, atol=0.01)
     assert "input markers" not in caplog.text
     images[1] = 150
-    Displacements(
-        ArrayFrames("bare", images, images[0], np.zeros((3, 3)), camera=camera), SIZE_PX, (12.0, 9.0), "cpu"
-    )
+    displacements(ArrayFrames("bare", images, images[0], np.zeros((3, 3)), camera=camera))
     assert "of bare" not in caplog.text
     assert "bare: in 1 of 3 pictures most markers of the reference are not found again" in caplog.text
 
@@ -129,7 +131,7 @@ def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
         images[number] = level
     frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)), camera=camera)
     with pytest.raises(ValueError, match=f"input markers: .*{message}"):
-        Displacements(frames, SIZE_PX, (12.0, 9.0), "cpu")
+        displacements(frames)
 
 
 @pytest.mark.parametrize(
@@ -139,6 +141,10 @@ def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
         ({"input": "calibrated", "pairing": "stack"}, "needs pairing 'difference'"),
         ({"input": "grey", "colour_mixing": 0.5}, "has no colours to mix"),
         ({"input": "markers", "marker_hiding": 0.5}, "marker_hiding must be 0"),
+        (
+            {"input": "touch", "shift_px": 3},
+            "input touch: shows how far a dent is from its place; shift_px must be 0",
+        ),
     ],
 )
 def test_what_cannot_be_shown_is_refused(changes, message):

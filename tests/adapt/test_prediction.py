@@ -88,7 +88,7 @@ def test_dots_are_found_and_followed_or_the_picture_is_refused(profile, tmp_path
     np.testing.assert_allclose(
         model.predict(images[5], frames.reference), model.predict_frames(frames)[5], atol=1e-6
     )
-    with pytest.raises(ValueError, match="input markers: markers and their motion are found outside the net"):
+    with pytest.raises(ValueError, match="input markers: what it shows is found outside the network"):
         export_onnx(model, tmp_path / "model.onnx")
     with pytest.raises(ValueError, match="input markers: these pictures: the reference shows 0 markers"):
         model.predict(images[5], render.reference(markers=False))

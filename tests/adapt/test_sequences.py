@@ -65,7 +65,7 @@ def test_what_is_no_sequence_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="clips has no column step"):
         split_for_training(without, without, by, 0)
     model = untrained(frames, SEQUENCE)
-    with pytest.raises(ValueError, match="sequences of 3 pictures, not a single one"):
+    with pytest.raises(ValueError, match="sequences of 3 pictures\\), not a single picture"):
         model.predict(frames.picture(0), frames.reference)
     with pytest.raises(ValueError, match="cannot be fine-tuned"):
         fine_tune(model, frames)

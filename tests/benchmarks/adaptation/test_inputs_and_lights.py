@@ -17,10 +17,14 @@ RUNS = Path(__file__).parents[3] / "docs" / "results" / "runs"
 def test_every_input_is_run_where_it_can_be_shown():
     runs = inputs_and_lights.input_grid([("mb0i0", "mb1i1"), ("mb0i0", "wmb0i0")], ["adabn"], [0])
     shown = {(run["target"], dict(run["changes"]).get("input", "pictures")) for run in runs}
-    assert {name for target, name in shown if target == "mb1i1"} == set(INPUTS) - {"pretrained"}
-    assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {"pretrained", "markers"}
+    assert {name for target, name in shown if target == "mb1i1"} == set(INPUTS) - {"pretrained", "touch"}
+    assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {
+        "pretrained",
+        "touch",
+        "markers",
+    }
     study = Study(Path(), Path(), "board")
-    assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
+    assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained", "touch"}
     (chosen,) = inputs_and_lights.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
     with pytest.raises(ValueError, match="--inputs markers: no chosen group has markers on both sides"):
