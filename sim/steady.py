@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +58,13 @@ class _Moved:
     of_edges: float
 
 
+class _Look(NamedTuple):
+    """By what share of it a slide's force changes from an earlier record to its end, and what share sticks at most."""
+
+    change: float
+    sticking: float
+
+
 @dataclass(frozen=True)
 class SteadySlide:
     """A problem whose slides end where they are steady, and what each waypoint of the `whole` problem is in it.
@@ -69,29 +77,38 @@ class SteadySlide:
     solved: tuple[ContactProblem, ...]
     waypoints: tuple[int | _Moved, ...]
 
-    def moved(self, solutions: Sequence[Solution]) -> Solution | None:
-        """Return the solution of the whole problem from those of the solved ones; None if a slide is not steady."""
+    def looks(self, solutions: Sequence[Solution]) -> list[_Look]:
+        """Return what the two looks at each slide that converged show."""
+        ends = [waypoint.end for waypoint in self.waypoints if isinstance(waypoint, _Moved)]
+        return [
+            _look(solutions, end)
+            for end in ends
+            if end.earlier >= 0 and solutions[end.problem].records[end.record].converged
+        ]
+
+    def moved(self, solutions: Sequence[Solution]) -> Solution:
+        """Return the solution of the whole problem from those of the solved ones."""
         records = []
         for waypoint in self.waypoints:
             if isinstance(waypoint, int):
                 records.append(solutions[0].records[waypoint])
                 continue
-            end, change = waypoint.end, 0.0
-            solved = solutions[end.problem].records
-            record = solved[end.record]
-            if end.earlier >= 0:
-                earlier = solved[end.earlier]
-                change = float(
-                    np.linalg.norm(record.force_n - earlier.force_n) / np.linalg.norm(record.force_n)
-                )
-                sticks = max(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
-                if record.converged and (change > _largest_change(self.whole) or sticks > _STICKING_SHARE):
-                    return None
+            end = waypoint.end
+            record = solutions[end.problem].records[end.record]
+            change = _look(solutions, end).change if end.earlier >= 0 else 0.0
             shift_mm = end.place_mm + waypoint.moved_mm - record.indenter_mm[:2]
             record = _moved_record(record, shift_mm, math.hypot(change, waypoint.of_edges))
             records.append(replace(record, mesh=end.problem))
         rest_mm = tuple(solution.rest_mm[0] for solution in solutions)
         return Solution(self.whole, rest_mm, tuple(records))
+
+
+def _look(solutions: Sequence[Solution], end: _End) -> _Look:
+    records = solutions[end.problem].records
+    record, earlier = records[end.record], records[end.earlier]
+    change = np.linalg.norm(record.force_n - earlier.force_n) / np.linalg.norm(record.force_n)
+    sticking = max(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
+    return _Look(float(change), float(sticking))
 
 
 def solve_steadily(
@@ -101,18 +118,21 @@ def solve_steadily(
 ) -> Solution:
     """Solve a problem with its slides shortened where they are steady, or as it is where they are not.
 
-    A slide that is not steady where it was to be is solved anew, twice as far.
+    A slide that is not steady where it was to be is solved anew, twice as far. One that slides wholly there and still
+    changes does so as its vertices come and go, however far it is: the change is its stated error.
     """
-    travels = _TRAVELS_TO_SLIP
+    travels, slid_wholly = _TRAVELS_TO_SLIP, False
     while (slide := steady_slide(problem, travels)) is not None:
         ends = list(itertools.accumulate((own.load_steps for own in slide.solved), initial=0))
         solutions = [
             solve(own, lambda done, _, before=before, total=ends[-1]: progress(before + done, total))
             for own, before in zip(slide.solved, ends[:-1], strict=True)
         ]
-        if (moved := slide.moved(solutions)) is not None:
-            return moved
-        travels *= 2
+        looks, largest = slide.looks(solutions), _largest_change(problem)
+        slides_wholly = all(look.sticking <= _STICKING_SHARE for look in looks)
+        if slides_wholly and (slid_wholly or all(look.change <= largest for look in looks)):
+            return slide.moved(solutions)
+        travels, slid_wholly = 2 * travels, slides_wholly
     return solve(problem, progress)
 
 
