@@ -227,7 +227,14 @@ class Sensor(PresetSettings):
         repr=False,
         description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
     )
-
+    rim_slope: tuple[float, ...] | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        repr=False,
+        min_length=16,
+        max_length=16,
+        description="by how much balls' dents are steeper than solved ones, at distances of 0 to 2.6 contact radii",
+    )
     normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = Field(
         default=None,
         exclude_if=lambda value: value is None,

@@ -160,7 +160,7 @@ def calibrate_light(
         _check_prediction(held_out)
     lit, volumes = task.lit_sensor(fit), []
     for k, pose in zip(fit.which, fit.presses, strict=True):
-        volumes.append(placed.profiles[k].volume_mm3(pose[2]))
+        volumes.append(fit.placed.profiles[k].volume_mm3(pose[2]))
     return LightCalibration(
         sensor=lit.model_copy(update={"table_share": share}),
         maps=task.flat_field(fit, lit),
@@ -310,6 +310,7 @@ class LightTask:
             "illumination": illumination,
             "flat_field": None,
             "marks_off": self._marks_off(fit),
+            "rim_slope": fit.placed.profiles[0].rim_slope,
             "normal_table": tuple(map(tuple, fit.normal_table().coefficients.tolist())),
         }
         return self.sensor.model_copy(update=update)
