@@ -170,7 +170,7 @@ def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
 def _of_ball(
     renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
 ) -> tuple[Membrane, np.ndarray]:
-    """Return the membrane around a ball, by the marks' habit and the sensor's rim, and where its mark says it touches."""
+    """Return the membrane around a ball, by the sensor's habit and rim, and where its mark says it touches."""
     camera, size_px = renderer.sensor.camera, renderer.size_px
     if renderer.sensor.rim_slope is not None:
         profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)

@@ -85,8 +85,8 @@ class PressProfiles:
         sphere = _sphere(self.sphere_radius_mm, depth_mm, r)
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
-        share = r / max(self.contact_radius_mm(depth_mm), STEP_MM)
-        added = np.interp(share, RIM_RADII, self.rim_slope, right=0.0)
+        radii = r / max(self.contact_radius_mm(depth_mm), STEP_MM)
+        added = np.interp(radii, RIM_RADII, self.rim_slope, right=0.0)
         z = z - STEP_MM * np.cumsum(added[::-1])[::-1]
         if self.softness_mm > 0:
             # Blurred in the plane, by Gauss–Hermite quadrature.
