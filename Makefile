@@ -29,7 +29,7 @@ help:
 	@echo "make test-slow    the tests that make test leaves out: longer forms of some"
 	@echo "make test-code-paths  the numerical tests as other processors compute them, for a release"
 	@echo "make test-todays-code-path  the same as one other processor does, another one each day"
-	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
+	@echo "make lint         ruff check, ruff format --check, and mypy"
 	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
 	@echo "make links        make the site, and follow its links to other sites; its own are checked by make docs"
 	@echo "make wheel-check  build the wheel and try it from a fresh environment in another folder"

@@ -22,15 +22,10 @@ from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
-from gelgap.domains import (
-    FORCE_COLUMNS,
-    QUANTITIES,
-    GeneratedDomain,
-    LabelledFrames,
-    paired_contacts,
-    with_labels,
-)
+from gelgap.domains import LabelledFrames, paired_contacts, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
+from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES
+from gelgap.domains.frames.stored import GeneratedDomain
 
 CONSTANT, QUADRATIC, RIDGE = "constant mean", "quadratic in mean difference", "ridge on area and depth"
 BASELINES = (CONSTANT, QUADRATIC, RIDGE)

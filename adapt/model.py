@@ -18,8 +18,9 @@ from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import FORCE_COLUMNS, ArrayFrames, LabelledFrames, Labels
+from gelgap.domains import ArrayFrames, LabelledFrames, Labels
 from gelgap.domains.frames.dataset import Camera
+from gelgap.domains.frames.labels import FORCE_COLUMNS
 
 _FORMAT = 2
 _INFERENCE_BATCH = 256

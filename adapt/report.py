@@ -12,7 +12,7 @@ from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.run_record import Run, load_predictions, load_runs
 from gelgap.adapt.selection import Candidate, alarm, scores, select
-from gelgap.domains import FORCE_COLUMNS, QUANTITIES
+from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,9 +165,10 @@ def training_table(runs: Sequence[Run]) -> ResultTable:
         row = _name(run, {}) | {"profile": run.profile["name"]}
         row |= {f"source held out, {unit}": errors[0], f"its constant mean, {unit}": errors[1]}
         row |= {"skipped steps": run.skipped_steps}
-        row |= {f"stage {k}, s": f"{run.wall_s[f'stage{k}']:.1f}" for k in (1, 2)}
+        row |= {f"stage {k}, core s": run.core_s.get(f"stage{k}") for k in (1, 2)}
         rows.append(row)
-    return ResultTable.of(f"Training{_of_labels(runs)}", pd.DataFrame(rows))
+    formats = {"stage 1, core s": "{:.1f}", "stage 2, core s": "{:.1f}"}
+    return ResultTable.of(f"Training{_of_labels(runs)}", pd.DataFrame(rows), formats=formats)
 
 
 def method_titles(runs: Sequence[Run]) -> dict[str, str]:

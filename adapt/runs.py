@@ -35,9 +35,10 @@ from gelgap.assets.checksums import file_sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
 from gelgap.assets.whole_file import warn
-from gelgap.domains import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains import LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
+from gelgap.domains.frames.stored import GeneratedDomain
 from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 
@@ -198,7 +199,7 @@ class Stage1:
         return self.out / "stage1" / f"{self.source_train.name}-{self.seed}-{key[:8]}.pt"
 
     def model(self) -> tuple[ForceModel, float]:
-        """Return the model, and the time that training it took now, s (0 if it was trained before).
+        """Return the model, and the processor time that training it took now, s (0 if it was trained before).
 
         Raises
         ------
@@ -206,8 +207,8 @@ class Stage1:
             If another process is training it.
         """
         known = "_trained" in vars(self)
-        model, wall_s = self._trained
-        return model, 0.0 if known else wall_s
+        model, core_s = self._trained
+        return model, 0.0 if known else core_s
 
     @cached_property
     def _trained(self) -> tuple[ForceModel, float]:
@@ -220,7 +221,7 @@ class Stage1:
         resume_file = folder and folder / _RESUME
         with sole_use(folder) if folder else nullcontext():
             self.source_train.images(self.profile.image_size_px)  # read before the clock starts
-            start = time.perf_counter()
+            start = time.process_time()
             model = train_source(
                 self.source_train,
                 self.profile,
@@ -229,11 +230,11 @@ class Stage1:
                 resume_file=resume_file,
                 progress=self.progress,
             )
-            wall_s = time.perf_counter() - start
+            core_s = time.process_time() - start
             if folder:
                 model.save(self.checkpoint)
                 resume_file.unlink(missing_ok=True)
-        return model, wall_s
+        return model, core_s
 
     def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
         """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
@@ -246,7 +247,7 @@ class Stage1:
             start, stage1_s = untrained(self.source_train, self.profile, self.seed), 0.0
         for part in (self.source_train, target_train):
             part.images(self.profile.image_size_px)  # read before the clock starts
-        begun, model, problem = time.perf_counter(), None, None
+        begun, model, problem = time.process_time(), None, None
         try:
             model = adapt(
                 start,
@@ -261,16 +262,16 @@ class Stage1:
         except (FeatureCollapse, TrainingDiverged) as error:
             problem = str(error)
         history = (model or start).history
-        return Adapted(model, problem, history, {"stage1": stage1_s, "stage2": time.perf_counter() - begun})
+        return Adapted(model, problem, history, {"stage1": stage1_s, "stage2": time.process_time() - begun})
 
 
 class Adapted(NamedTuple):
-    """What training gave: a model, or else the problem, the epochs, and the time of both stages, s."""
+    """What training gave: a model, or else the problem, the epochs, and the processor time of both stages, s."""
 
     model: ForceModel | None
     problem: str | None
     history: tuple[dict[str, Any], ...]
-    wall_s: dict[str, float]
+    core_s: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -305,13 +306,13 @@ class Group:
     def run(self, method: str, folder: Path | None = None) -> tuple[Run, ForceModel | None]:
         """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed."""
         frames, profile = self.frames, self.stage1.profile
-        begun = time.perf_counter()
+        begun = time.process_time()
         for name, part in frames.parts.items():
             if name != "target_validation":
                 part.images(profile.image_size_px)
-        load_s = time.perf_counter() - begun
+        load_s = time.process_time() - begun
         adapted = self.stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
-        begun = time.perf_counter()
+        begun = time.process_time()
         arrays = {} if adapted.model is None else _shown_to(adapted.model, frames)
         constant, errors = {}, {}
         for name, part in (("target", frames.target_test), ("source", frames.source_held_out)):
@@ -337,7 +338,7 @@ class Group:
             source_held_out=errors.get("source"),
             source_constant_mean=constant.get("source"),
             baselines=evaluate_baselines(frames) if len(frames.target_test) else {},
-            wall_s={"load": load_s} | adapted.wall_s | {"evaluate": time.perf_counter() - begun},
+            core_s={"load": load_s} | adapted.core_s | {"evaluate": time.process_time() - begun},
             skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
             history=adapted.history,
             versions=versions(),

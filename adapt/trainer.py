@@ -77,7 +77,8 @@ def train_source(
     Raises
     ------
     ValueError
-        If a label lies outside its range or there are fewer than two frames.
+        If a label lies outside its range, there are fewer than two frames, or the profile shifts pictures whose contact
+        point is learnt.
     """
     source.check_labels()
     model = untrained(source, profile, seed)
@@ -258,6 +259,10 @@ def train(
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
     """
+    places = [name for name in source_frames.labels.names if name in ("x_mm", "y_mm")]
+    if profile.shift_px and places:
+        told = f"a shifted picture shows another {' and '.join(places)} than its label says"
+        raise ValueError(f"shift_px = {profile.shift_px}: {told}; set shift_px to 0")
     target, final_weight = None, 0.0
     epochs, rate = profile.source_epochs, profile.source_learning_rate
     if method is not None:

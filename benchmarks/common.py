@@ -25,7 +25,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, with_checksum, without_checksum
 from gelgap.assets.locks import defer_signals

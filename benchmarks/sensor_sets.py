@@ -15,10 +15,10 @@ import pandas as pd
 
 from gelgap.assets.image_file import read_image
 from gelgap.benchmarks.common import show, write_json
-from gelgap.domains import sphere_profiles
-from gelgap.domains.calibration_presses import PressSet, lit_from_dents, taxim_presses
-from gelgap.render import Camera, Markers, PressPicture, Sensor, calibrate_light
-from gelgap.render.calibration.pictures import read_presses
+from gelgap.domains.calibration_presses import PressSet, lit_from_dents, sphere_profiles, taxim_presses
+from gelgap.render import Camera, Markers, Sensor
+from gelgap.render.calibration.calibrator import calibrate_light
+from gelgap.render.calibration.pictures import PressPicture, read_presses
 
 MODELS = {
     "the reference, unchanged": "unchanged",

@@ -20,10 +20,10 @@ from gelgap.domains import (
     generate_recipes,
     make_recipes,
     open_domain,
-    plan_generation,
     preset_recipes,
 )
 from gelgap.domains.formats.domain_folder import DomainFolder
+from gelgap.domains.generation.plan import plan_generation
 from gelgap.sim import ContactPath
 
 READING_SIZE_PX = 64

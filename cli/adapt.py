@@ -132,12 +132,13 @@ class Adapt(opt.Command):
     def _select(self, runs: "Sequence[adapt.Run]") -> None:
         """Write the scores of all runs, print them, and name the run that is chosen for each target."""
         from gelgap.adapt.report import selection_table
+        from gelgap.adapt.result_table import ResultTable
         from gelgap.assets.whole_file import write_whole
 
         table = selection_table(runs, self.select)
         write_whole(self.out / SELECTION, table.to_csv(index=False).encode())
         title = f"Scores without labels, less is better; chosen by {self.select}"
-        adapt.ResultTable.of(title, table.drop(columns="folder")).show()
+        ResultTable.of(title, table.drop(columns="folder")).show()
         for row in table[table["chosen"]].itertuples():
             print(f"{row.group}: {row.method}, profile {row.profile}, is chosen: {self.out / row.folder}")
         print(f"wrote {self.out / SELECTION}")

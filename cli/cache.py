@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from gelgap import sim
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -31,13 +30,13 @@ class Cache(opt.Command):
         """List or clear the cache."""
         from gelgap.domains.frames.stored import clear_picture_cache
         from gelgap.render.light.spectra import clear_led_cache
-        from gelgap.sim.solution import cache_entries, cache_use
+        from gelgap.sim.solution import cache_entries, cache_use, clear_cache
 
         if self.clear:
             clear_led_cache()
             if pictures := clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
-            use, verb = sim.clear_cache(), "deleted"
+            use, verb = clear_cache(), "deleted"
         else:
             for entry in cache_entries():
                 print(_line(entry))

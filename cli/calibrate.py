@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gelgap import domains, render
+from gelgap import render
 from gelgap.assets.names import comma_list
 from gelgap.cli import options as opt
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from gelgap.domains.press_prediction import PredictedPress
+    from gelgap.render.calibration.calibrator import LightCalibration
+    from gelgap.render.calibration.pictures import PressPicture
 
 HELD_OUT = {
     "unchanged": "unchanged reference",
@@ -101,7 +103,8 @@ class Calibrate(opt.Command):
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
-        from gelgap.domains.calibration_presses import lit_from_dents
+        from gelgap.domains.calibration_presses import lit_from_dents, sphere_profiles
+        from gelgap.render.calibration.calibrator import calibrate_light, save_calibration
         from gelgap.render.calibration.pictures import check_presses
 
         if self.predict:
@@ -115,11 +118,11 @@ class Calibrate(opt.Command):
             sensor = lit_from_dents(sensor, reference, presses)
         if doubt := doubt_of_scale(sensor.camera, presses):
             print(f"gelgap: warning: {doubt}", file=sys.stderr)
-        fit = render.calibrate_light(
+        fit = calibrate_light(
             sensor,
             reference,
             presses,
-            lambda diameters, deepest: domains.sphere_profiles(diameters, deepest, self.quality),
+            lambda diameters, deepest: sphere_profiles(diameters, deepest, self.quality),
             folds=self.held_out_parts,
         )
         report = report_lines(fit)
@@ -127,7 +130,7 @@ class Calibrate(opt.Command):
         described = fit.sensor.model_copy(
             update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED}
         )
-        fitted = render.save_calibration(replace(fit, sensor=described), self.out)
+        fitted = save_calibration(replace(fit, sensor=described), self.out)
         print(f"wrote {self.out} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
@@ -154,7 +157,7 @@ class Calibrate(opt.Command):
             "predicted",
         )
 
-    def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
+    def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":
         from gelgap.domains.calibration_presses import NAMES, PACK, taxim_presses
 
         if str(self.presses) in NAMES or (self.presses / PACK).is_file():
@@ -189,7 +192,7 @@ class Calibrate(opt.Command):
             print(f"gelgap: warning: {self.presses}: {doubt}", file=sys.stderr)
         return found.path
 
-    def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
+    def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":
         from gelgap.assets.image_file import read_image
         from gelgap.render.calibration.pictures import read_press_list
 
@@ -206,7 +209,7 @@ class Calibrate(opt.Command):
         return start, picture, presses
 
 
-def doubt_of_scale(camera: "render.Camera", presses: "Sequence[render.PressPicture]") -> str | None:
+def doubt_of_scale(camera: "render.Camera", presses: "Sequence[PressPicture]") -> str | None:
     """Return what to think of where balls touch in small circles for their size, which no fit finds wrong."""
     height_px, width_px, _ = presses[0].picture.shape
     width_mm, height_mm = camera.footprint_mm((width_px, height_px))
@@ -224,7 +227,7 @@ def doubt_of_scale(camera: "render.Camera", presses: "Sequence[render.PressPictu
     )
 
 
-def report_lines(fit: "render.LightCalibration") -> list[str]:
+def report_lines(fit: "LightCalibration") -> list[str]:
     """Return how well a fit predicts presses that it has not seen, and what it found."""
     lines = [f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses"]
     height_px, width_px, _ = fit.maps.ratio.shape
@@ -298,7 +301,7 @@ def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
     ]
 
 
-def warnings_of(fit: "render.LightCalibration") -> list[str]:
+def warnings_of(fit: "LightCalibration") -> list[str]:
     """Return what to think of before such a fit is used."""
     from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
 
@@ -317,7 +320,7 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
     return warnings
 
 
-def _worst(fit: "render.LightCalibration") -> tuple[float, str]:
+def _worst(fit: "LightCalibration") -> tuple[float, str]:
     """Return by how many dB the worst held-out press is better than the unchanged reference, and in words which."""
     found = []
     for press in fit.held_out:
@@ -327,13 +330,13 @@ def _worst(fit: "render.LightCalibration") -> tuple[float, str]:
     return min(found)
 
 
-def _levels(fit: "render.LightCalibration", kind: str) -> list[tuple[float, ...]]:
+def _levels(fit: "LightCalibration", kind: str) -> list[tuple[float, ...]]:
     """Return the held-out presses' PSNR inside the contact, and around it; nothing if none is held out."""
     return list(zip(*(getattr(press, kind) for press in fit.held_out), strict=True))
 
 
 def held_out_pairs(
-    fit: "render.LightCalibration", presses: "Sequence[render.PressPicture]"
+    fit: "LightCalibration", presses: "Sequence[PressPicture]"
 ) -> "list[tuple[np.ndarray, np.ndarray]]":
     """Return each held-out press's picture, and what was predicted of it."""
     from gelgap.render.calibration.pictures import press_names
@@ -349,11 +352,13 @@ def write_comparisons(
     import cv2
     import numpy as np
 
+    from gelgap.render.imaging import difference_picture
+
     folder.mkdir(parents=True, exist_ok=True)
     for number, (real, predicted) in enumerate(pairs, start=1):
         shown = predicted
         if real is not None:
-            shown = np.hstack([real, predicted, render.difference_picture(predicted, real, DIFFERENCE_GAIN)])
+            shown = np.hstack([real, predicted, difference_picture(predicted, real, DIFFERENCE_GAIN)])
         path = folder / f"{kind}-{number:02d}.png"
         if not cv2.imwrite(str(path), shown[..., ::-1]):
             raise RuntimeError(f"{path} could not be written")

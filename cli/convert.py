@@ -4,12 +4,15 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from gelgap import domains
 from gelgap.cli import options as opt
+
+if TYPE_CHECKING:
+    from gelgap.domains.formats.convert import ConvertedClip
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class Convert(opt.Command):
             print(f"wrote {self.out / domain}")
 
 
-def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
+def _table(clips: "Sequence[ConvertedClip]") -> str:
     """Return a table of the clips, one of all of a session together, and what the lags say."""
     import pandas as pd
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from gelgap import adapt, domains, render
+from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
@@ -36,7 +36,6 @@ class Demo(opt.Command):
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    workers: opt.Workers = None
 
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
@@ -44,15 +43,12 @@ class Demo(opt.Command):
         from gelgap.adapt.result_table import write_pages
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
-        processes, scheduler = opt.processes_and_scheduler(self.workers)
         report = domains.generate(
             (SOURCE, TARGET),
             PATH,
             self.out / "data",
             quality="draft",
             seed=SEED,
-            scheduler=scheduler,
-            workers=processes,
             columns=("height_map",),
         )
         print(report)
@@ -98,6 +94,7 @@ def samples(data: Path) -> "NamedFigure":
     from matplotlib.figure import Figure
 
     from gelgap.adapt.result_table import NamedFigure
+    from gelgap.render.imaging import difference_picture
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     for row, name in zip(figure.subplots(2, 4), (SOURCE, TARGET), strict=True):
@@ -108,7 +105,7 @@ def samples(data: Path) -> "NamedFigure":
         picture = domain.picture(index)
         row[0].imshow(domain.reference)
         row[1].imshow(picture)
-        row[2].imshow(render.difference_picture(picture, domain.reference, 2.0))
+        row[2].imshow(difference_picture(picture, domain.reference, 2.0))
         height = row[3].imshow(domain.height_map_mm(index))
         figure.colorbar(height, ax=row[3], label="mm", shrink=0.8)
         for panel, title in zip(row, ("reference", "contact", "difference, ×2", "height"), strict=True):

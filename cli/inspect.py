@@ -31,7 +31,7 @@ class Inspect(opt.Command):
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
         from gelgap.domains.frames.folders import domain_folders
-        from gelgap.domains.inspection import gap_rows
+        from gelgap.domains.inspection import gap_rows, inspect_domain, write_overview
 
         folders = domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:
@@ -40,7 +40,7 @@ class Inspect(opt.Command):
         base = domains.open_domain(self.gap_to) if self.gap_to is not None else None
         intact = _verified(folders) if self.verify else ""
         for folder in folders:
-            print(domains.inspect_domain(folder))
+            print(inspect_domain(folder))
             if base is not None:
                 print(f"  gap from {self.gap_to}:")
                 for what, value in gap_rows(domains.open_domain(folder), base):
@@ -48,7 +48,7 @@ class Inspect(opt.Command):
         if intact:
             print(intact)
         if self.html is not None:
-            print(f"wrote {domains.write_overview(folders[0], self.html, self.gap_to)}")
+            print(f"wrote {write_overview(folders[0], self.html, self.gap_to)}")
 
 
 def _verified(folders: tuple[Path, ...]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gelgap import adapt, domains
+from gelgap import adapt
 from gelgap.assets.whole_file import whole_file
 from gelgap.cli import options as opt
 
@@ -73,6 +73,8 @@ def _table(rows: list[dict[str, object]]) -> "pd.DataFrame":
 
 def _text(rows: list[dict[str, object]], header: bool = True) -> str:
     """Return rows with symbols and units above them; rows that are printed one by one stand below each other."""
-    units = {name: str(quantity) for name, quantity in domains.QUANTITIES.items()}
+    from gelgap.domains.frames.labels import QUANTITIES
+
+    units = {name: str(quantity) for name, quantity in QUANTITIES.items()}
     table = _table(rows).rename(columns=units)
     return table.to_string(index=False, header=header, float_format="%.4f", col_space=_WIDTH, justify="right")

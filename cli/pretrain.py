@@ -9,7 +9,6 @@ import tyro
 from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
-from gelgap.domains.domain import RandomFactor
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class Pretrain(opt.Command):
 
     For example:
       gelgap pretrain --domains 60 --frames 60 --out pretrained
-      gelgap pretrain --domains 60 --frames 60 --without light --out without-light --dry-run
+      gelgap pretrain --domains 60 --frames 60 --out pretrained --dry-run
       gelgap pretrain --domains 60 --frames 60 --stream --out streamed
     """
 
@@ -34,8 +33,6 @@ class Pretrain(opt.Command):
     """How many domains are drawn."""
     frames: Annotated[int, opt.between(2, 100_000)] = 60
     """Frames of a domain: one without contact, then every depth of its press, straight and dragged, at drawn places."""
-    without: Annotated[tuple[RandomFactor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
-    """Factors that are the same in every domain instead of drawn: an ablation."""
     ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
     profile: opt.ProfileName = "cpu"
@@ -63,7 +60,7 @@ class Pretrain(opt.Command):
                 f"--size = {self.size[0]} {self.size[1]}: must be at least the {width} × {height} px of profile "
                 f"{profile.name}"
             )
-        drawn = {"without": self.without, "seed": self.seed, "size_px": self.size, "quality": self.quality}
+        drawn = {"seed": self.seed, "size_px": self.size, "quality": self.quality}
         if self.stream:
             self._train_on_stream(domains.PressStream(ranges, **drawn), profile, self.domains * self.frames)
             return

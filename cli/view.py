@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-from gelgap import render, sim, view
+from gelgap import render, sim
 from gelgap.cli import options as opt
 
 INSTALL = "pip install 'gelgap[view]'"
@@ -46,6 +46,7 @@ class View(opt.Command):
         import webbrowser
 
         from gelgap.view.marks import MarksPage
+        from gelgap.view.page import Page
         from gelgap.view.state import Configuration
 
         if (folder := Path(self.sensor)).is_dir():
@@ -53,7 +54,7 @@ class View(opt.Command):
         else:
             sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
             configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
-            page = view.open_page(configuration, self.host, self.port)
+            page = Page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
             if not self.no_browser:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.render import Camera, Coating, Illumination, Led, Markers, PressPicture, Sensor
-from gelgap.render.calibration.pictures import find_contact_mm, light_azimuths
+from gelgap.render import Camera, Coating, Illumination, Led, Markers, Sensor
+from gelgap.render.calibration.pictures import PressPicture, find_contact_mm, light_azimuths
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
 from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
@@ -163,10 +163,7 @@ def bars_at(azimuths: Sequence[float], view_mm: float) -> Illumination:
 
 
 def sphere_profiles(
-    diameters_mm: Iterable[float],
-    deepest_mm: float | None = None,
-    quality: str = "draft",
-    elastomer: Elastomer = CALIBRATION_GEL,
+    diameters_mm: Iterable[float], deepest_mm: float | None = None, quality: str = "draft"
 ) -> dict[float, PressProfiles]:
     """Return the membrane around spheres of some diameters, by diameter, down to a depth or as deep as can be.
 
@@ -177,7 +174,7 @@ def sphere_profiles(
     RuntimeError
         If too few depths were solved.
     """
-    found, limit_mm = {}, _DEEPEST_IN_THICKNESSES * elastomer.thickness_mm
+    found, limit_mm = {}, _DEEPEST_IN_THICKNESSES * CALIBRATION_GEL.thickness_mm
     for diameter_mm in set(diameters_mm):
         radius_mm = diameter_mm / 2
         depths = [share * radius_mm for share in DEPTHS_IN_RADII if share * radius_mm <= limit_mm]
@@ -185,7 +182,7 @@ def sphere_profiles(
             needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
             depths = depths[: max(needed, 3)]
         poses = tuple(Pose(depth_mm=depth) for depth in depths)
-        states = solve_poses(elastomer, Sphere(diameter_mm=diameter_mm), poses, quality)
+        states = solve_poses(CALIBRATION_GEL, Sphere(diameter_mm=diameter_mm), poses, quality)
         solves = []
         for depth, state in zip(depths, states, strict=True):
             if state.converged:

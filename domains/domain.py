@@ -28,8 +28,6 @@ OptionalColumn = Literal[
     "turn",
 ]
 """What a domain may hold beyond its labels and pictures."""
-RandomFactor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
-"""What is drawn for pretraining, and can be left out to see what it matters."""
 Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 

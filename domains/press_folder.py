@@ -18,9 +18,9 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.calibration_presses import sphere_profiles
 from gelgap.domains.formats.convert import VIDEOS, video_pictures
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.render import difference_picture
 from gelgap.render.calibration.marks import FoundMark, find_marks
 from gelgap.render.calibration.pictures import ListedPress, PressList
+from gelgap.render.imaging import difference_picture
 
 LIST, SHEET = "presses.toml", "presses-sheet.png"
 _NAMED_REFERENCE = re.compile(

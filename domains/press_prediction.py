@@ -12,10 +12,11 @@ import numpy as np
 
 from gelgap.assets.image_file import read_image
 from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
-from gelgap.render import MembraneRenderer, PressPicture, Sensor
+from gelgap.render import MembraneRenderer, Sensor
 from gelgap.render.calibration.pictures import (
     ListedPress,
     PressList,
+    PressPicture,
     check_press,
     read_press_list,
 )
@@ -32,7 +33,8 @@ from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import load_maps
 from gelgap.render.imaging import psnr_db
 from gelgap.render.normal_table import NormalTable
-from gelgap.sim import Indenter, Pose, load_indenter, solve_pose
+from gelgap.sim import Pose, load_indenter, solve_pose
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.plan import plan_visit
 
 _BEYOND_VIEW = 1.3

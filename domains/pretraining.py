@@ -6,11 +6,10 @@ modulus, a light, a camera and contacts of its own, none of which asks for anoth
 
 import math
 import tomllib
-from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self, get_args
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, PositiveFloat
@@ -18,12 +17,11 @@ from pydantic import AfterValidator, Field, PositiveFloat
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.domains.domain import RandomFactor, word
+from gelgap.domains.domain import word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
-from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
-
-RANDOM_FACTORS = get_args(RandomFactor)
+from gelgap.sim import Elastomer, Pose, PosePath, Sphere
+from gelgap.sim.problem import QualityName
 
 
 def _rises(interval: Interval) -> Interval:
@@ -109,25 +107,21 @@ def pretraining_recipes(
     frames_per_domain: int,
     ranges: PretrainingRanges | None = None,
     *,
-    without: Collection[str] = (),
     seed: int = 0,
     size_px: tuple[int, int] = (160, 120),
     quality: QualityName = "draft",
 ) -> tuple[DomainRecipe, ...]:
     """Return the recipes of domains drawn from ranges, named `pretraining-0000` and so on.
 
-    Of the factors `without` (see `RANDOM_FACTORS`), every domain has the middle instead: the middle of each range, the
-    first sensor and illumination as they are, no markers. The draws of the others are the same as with them. The
-    quality is that of physics and pictures.
+    The quality is that of physics and pictures.
 
     Raises
     ------
     ValueError
-        If a factor is unknown, there are no domains, or a domain's frames are too few for a reference and every contact
-        of its press.
+        If there are no domains, or a domain's frames are too few for a reference and every contact of its press.
     """
     ranges = ranges or PretrainingRanges.default()
-    draws = Draws(ranges, seed, frozenset(without))
+    draws = Draws(ranges, seed)
     if domains < 1:
         raise ValueError(f"domains = {domains}: must be 1 or more")
     # Pressed straight and dragged.
@@ -141,7 +135,7 @@ def pretraining_recipes(
     for number in range(domains):
         name, press = f"pretraining-{number:04d}", draws.press(number % ranges.presses)
         sensor, illumination, markers = draws.seen_by(number)
-        (modulus_mpa,) = draws.values("gel", "modulus", number, "young_modulus_mpa")
+        (modulus_mpa,) = draws.values("modulus", number, "young_modulus_mpa")
         poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
         recipe = DomainRecipe(
             name=name,
@@ -174,23 +168,16 @@ _sensor = lru_cache(Sensor.preset)
 
 @dataclass(frozen=True)
 class Draws:
-    """What is drawn, by its number; of the factors left out, everything has the middle."""
+    """What is drawn, by its number."""
 
     ranges: PretrainingRanges
     seed: int
-    without: frozenset[str]
-
-    def __post_init__(self) -> None:
-        if unknown := sorted(self.without - set(RANDOM_FACTORS)):
-            raise ValueError(f"without = {unknown[0]!r}: known are {', '.join(RANDOM_FACTORS)}")
 
     def stream(self, what: str, number: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence([self.seed, word(what), number]))
 
-    def values(self, factor: str, what: str, number: int, *fields: str) -> list[float]:
+    def values(self, what: str, number: int, *fields: str) -> list[float]:
         """Return a value of each of these ranges."""
-        if factor in self.without:
-            return [self.at(field, 0.5) for field in fields]
         shares = self.stream(what, number).random(len(fields)).tolist()
         return [self.at(field, share) for field, share in zip(fields, shares, strict=True)]
 
@@ -201,9 +188,9 @@ class Draws:
 
     def press(self, number: int) -> Press:
         ratio, friction, thickness_mm = self.values(
-            "gel", "gel of a press", number, "poisson_ratio", "friction", "thickness_mm"
+            "gel of a press", number, "poisson_ratio", "friction", "thickness_mm"
         )
-        (diameter_mm,) = self.values("sphere", "sphere of a press", number, "sphere_diameter_mm")
+        (diameter_mm,) = self.values("sphere of a press", number, "sphere_diameter_mm")
         deepest, travel = self.stream("depths of a press", number).random(2).tolist()
         sphere, thickness_mm = Sphere(diameter_mm=round(diameter_mm, 2)), round(thickness_mm, 2)
         gel = {
@@ -232,13 +219,10 @@ class Draws:
     def light(self, number: int) -> tuple[Sensor, Illumination]:
         """Return a sensor without light of its own, and its light: varied, and its colours change places."""
         rng, ranges = self.stream("light", number), self.ranges
-        is_drawn = "light" not in self.without
-        sensor = _sensor(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
-        other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
+        sensor = _sensor(str(rng.choice(ranges.sensors)))
+        other = str(rng.choice(ranges.illuminations))
         illumination = sensor.illumination or Illumination.preset(other)
         sensor = sensor.model_copy(update={"illumination": None})
-        if not is_drawn:
-            return sensor, illumination
         sensor = vary_sensor(sensor, ranges.variation, rng)
         illumination = vary_illumination(illumination, ranges.variation, rng)
         leds = illumination.leds
@@ -255,9 +239,9 @@ class Draws:
         )
 
     def camera(self, number: int, camera: Camera) -> Camera:
-        (view_mm,) = self.values("camera", "view", number, "view_mm")
-        (blur_px,) = self.values("blur", "blur", number, "point_spread_px")
-        well, read = self.values("noise", "noise", number, "full_well_electrons", "read_noise_electrons")
+        (view_mm,) = self.values("view", number, "view_mm")
+        (blur_px,) = self.values("blur", number, "point_spread_px")
+        well, read = self.values("noise", number, "full_well_electrons", "read_noise_electrons")
         half_angle = math.atan2(view_mm / 2, -camera.position_mm[2])
         drawn = {
             "horizontal_field_of_view_deg": round(2 * math.degrees(half_angle), 6),
@@ -270,7 +254,7 @@ class Draws:
     def markers(self, number: int) -> Markers | None:
         """Return markers over the whole view, or None."""
         has_markers, pitch = self.stream("markers", number).random(2).tolist()
-        if "markers" in self.without or has_markers >= self.ranges.with_markers:
+        if has_markers >= self.ranges.with_markers:
             return None
         pitch_mm = round(self.at("marker_pitch_mm", pitch), 3)
         across = math.ceil(self.ranges.view_mm[1] / pitch_mm)

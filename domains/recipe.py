@@ -24,21 +24,12 @@ from gelgap.domains.domain import OWN_LIGHT, Domain, OptionalColumn, known_domai
 from gelgap.domains.formats.domain_folder import DomainName
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import (
-    ContactPath,
-    Elastomer,
-    ForcePath,
-    Pose,
-    PosePath,
-    QualityName,
-    Sphere,
-    load_indenter,
-    load_path,
-)
+from gelgap.sim import ContactPath, Elastomer, ForcePath, Pose, PosePath, Sphere, load_indenter, load_path
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.path import DrawnPath
 from gelgap.sim.plan import DEPTHS_PER_DESCENT
 from gelgap.sim.press import path_on_gel
+from gelgap.sim.problem import QualityName
 from gelgap.sim.shapes import AnyIndenter
 
 LOG = logging.getLogger(__name__)

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
@@ -20,8 +20,9 @@ from gelgap.domains.frames.joined import join_domains
 from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
-from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, QualityName
+from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges
 from gelgap.sim.library import solve_all
+from gelgap.sim.problem import QualityName
 from gelgap.sim.solution import has_solution
 
 LOG = logging.getLogger(__name__)
@@ -94,15 +95,13 @@ class PressStream(IterableDataset):
         Of all draws.
     size_px, quality
         Width and height of the pictures; quality of physics and pictures.
-    without
-        Factors that are the same in all samples (`RANDOM_FACTORS`).
     start, stop
         The first sample, to resume, and the one after the last; endless without.
 
     Raises
     ------
     ValueError
-        If a range is wrong, a factor unknown, or `stop` before `start`.
+        If a range is wrong, or `stop` before `start`.
     """
 
     def __init__(
@@ -112,7 +111,6 @@ class PressStream(IterableDataset):
         seed: int = 0,
         size_px: tuple[int, int] = (320, 240),
         quality: QualityName = "draft",
-        without: Collection[str] = (),
         start: int = 0,
         stop: int | None = None,
         batch_size: int = 32,
@@ -126,7 +124,7 @@ class PressStream(IterableDataset):
         self.ranges = ranges or PretrainingRanges.default()
         self.seed, self.size_px, self.quality = seed, size_px, quality
         self.start, self.stop, self.batch_size = start, stop, batch_size
-        self._draws = Draws(self.ranges, seed, frozenset(without))
+        self._draws = Draws(self.ranges, seed)
         self._libraries: dict[int, PoseLibrary] = {}
 
     __repr__ = one_line
@@ -190,7 +188,7 @@ class PressStream(IterableDataset):
         press = int(rng.integers(opened))
         number = index // _SPAN * _LOOKS_PER_SPAN + int(rng.integers(_LOOKS_PER_SPAN))
         look, library = _look(self._draws, number, self.size_px, self.quality), self.library(press)
-        (modulus,) = self._draws.values("gel", "modulus of a sample", index, "young_modulus_mpa")
+        (modulus,) = self._draws.values("modulus of a sample", index, "young_modulus_mpa")
         gel = library.plan.elastomer.model_copy(update={"young_modulus_mpa": modulus})
         lattice, why = look.renderer.lattice, None
         for tries in range(1, _MOST_TRIES + 1):

@@ -10,18 +10,10 @@ from numpy.typing import NDArray
 from gelgap.assets.names import one_line
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import (
-    Elastomer,
-    Indenter,
-    LibraryPlan,
-    MembraneState,
-    Pose,
-    PoseLibrary,
-    PoseRanges,
-    QualityName,
-    Sphere,
-)
+from gelgap.sim import Elastomer, LibraryPlan, MembraneState, Pose, PoseLibrary, PoseRanges, Sphere
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.library import solve_all
+from gelgap.sim.problem import QualityName
 
 # A contact slides as a whole where a longer drag would raise its sideways force by less than this share.
 _SLIDES_WITHIN = 0.03

@@ -1,9 +1,4 @@
-from .calibration.calibrator import LightCalibration as LightCalibration
-from .calibration.calibrator import calibrate_light as calibrate_light
-from .calibration.calibrator import save_calibration as save_calibration
-from .calibration.pictures import PressPicture as PressPicture
 from .camera import Camera as Camera
-from .imaging import difference_picture as difference_picture
 from .imaging import encode as encode
 from .inpainting import detect_markers as detect_markers
 from .inpainting import inpaint_telea as inpaint_telea

@@ -10,6 +10,7 @@ from gelgap.assets.settings import Settings
 
 Point = tuple[float, float, float]
 FARTHEST_MM = 500.0
+_NEAR_MM = 25.0
 
 
 class Camera(Settings):
@@ -66,14 +67,14 @@ class Camera(Settings):
         return width_mm, width_mm * size_px[1] / size_px[0]
 
     @classmethod
-    def showing(cls, width_mm: float, distance_mm: float = 25.0) -> "Camera":
-        """Return the camera that shows some width of the undeformed membrane, 0.5 to 150 mm, or raise ValueError."""
+    def showing(cls, width_mm: float) -> "Camera":
+        """Return the camera, 25 mm away, that shows 0.5 to 150 mm of the undeformed membrane, or raise ValueError."""
         if not 0.5 <= width_mm <= 150:
             raise ValueError(
                 f"images would show {width_mm:.3g} mm of the gel, allowed are 0.5 to 150 mm: check the mm per pixel"
             )
-        fov_deg = 2 * degrees(atan(width_mm / 2 / distance_mm))
-        return cls(position_mm=(0.0, 0.0, -distance_mm), horizontal_field_of_view_deg=fov_deg)
+        fov_deg = 2 * degrees(atan(width_mm / 2 / _NEAR_MM))
+        return cls(position_mm=(0.0, 0.0, -_NEAR_MM), horizontal_field_of_view_deg=fov_deg)
 
     def farthest_mm(self, size_px: tuple[int, int]) -> float:
         """Return the distance from which the view is nearly parallel: 500 mm, or where a small view fills 1.2°."""

@@ -19,11 +19,9 @@ from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
 from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
-# The rastered mesh only says which rest point a pixel sees; light is gathered from the finer shaded grid. How many
-# times coarser than that grid it may be, least and most; in between, as many times for each mm that a pixel is wide,
-# which makes its cells up to 5.5 pixels wide at `standard`.
-RASTER_STEPS = (2, 3)
-RASTER_STEPS_PER_MM = 55.0
+# The rastered mesh only says which rest point a pixel sees; light is gathered from the shaded grid, which is this many
+# times finer. A frame takes 1.2 to 1.4 times as long where both are the same.
+RASTER_STEP = 2
 
 Quality = Literal["draft", "standard", "fine"]
 LOG = logging.getLogger(__name__)
@@ -69,9 +67,7 @@ class MembraneRenderer:
         spacing_mm, self._shadows = QUALITIES[quality]
         self.sensor, self.illumination, self.quality = sensor, illumination, quality
         self.size_px = (int(size_px[0]), int(size_px[1]))
-        pixel_mm = sensor.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
-        self._raster_step = min(max(int(RASTER_STEPS_PER_MM * pixel_mm), RASTER_STEPS[0]), RASTER_STEPS[1])
-        self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm, self._raster_step)
+        self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm)
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         self._marker_cells = marker_cells(sensor.markers)
         ratio = np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
@@ -159,11 +155,11 @@ class MembraneRenderer:
         return self._surface_on_lattice(membrane.displacement_on(self.lattice), membrane.name)
 
     def _geometry(self, surface: Surface) -> np.ndarray:
-        positions = np.ascontiguousarray(surface.positions_mm[:: self._raster_step, :: self._raster_step])
+        positions = np.ascontiguousarray(surface.positions_mm[::RASTER_STEP, ::RASTER_STEP])
         return self._rasterizer().geometry(positions)
 
     def _rasterizer(self) -> Rasterizer:
-        return rasterizer_for(self.sensor.camera, self.lattice.every(self._raster_step), self.size_px)
+        return rasterizer_for(self.sensor.camera, self.lattice.every(RASTER_STEP), self.size_px)
 
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""
@@ -301,9 +297,9 @@ def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
     return (parts.reshape(rows * columns, -1) @ to_linear).reshape(rows, columns, 3)
 
 
-def reference_gap(one: MembraneRenderer, other: MembraneRenderer, markers: bool = False) -> imaging.ColourGap:
-    """Return the colour gap of two renderers' pictures of the undeformed membrane, without noise."""
-    return imaging.picture_gap(one.reference(markers), other.reference(markers))
+def reference_gap(one: MembraneRenderer, other: MembraneRenderer) -> imaging.ColourGap:
+    """Return the colour gap of two renderers' pictures of the undeformed membrane, without markers and noise."""
+    return imaging.picture_gap(one.reference(markers=False), other.reference(markers=False))
 
 
 class _Announcement(event.Listener):

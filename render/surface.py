@@ -1,7 +1,6 @@
 """From a membrane as a caller gives it to the surface that is lit: the renderer's grid, positions, normals, heights."""
 
 from dataclasses import dataclass
-from math import gcd
 from typing import NamedTuple
 
 import numba
@@ -60,16 +59,13 @@ class Lattice:
     rows: int
 
     @classmethod
-    def covering(
-        cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float, step: int = 1
-    ) -> "Lattice":
+    def covering(cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float) -> "Lattice":
         """Return the grid that covers a state's convention and the camera's footprint with its margin.
 
-        Every `step`-th of its vertices reach as far.
+        Every second of its vertices reach as far.
         """
         half_mm = _half_extent_mm(camera, size_px)
-        unit = step // gcd(step, 2)
-        half_cells = unit * np.ceil(half_mm / (unit * spacing_mm) - 1e-3).astype(int)
+        half_cells = np.ceil(half_mm / spacing_mm - 1e-3).astype(int)
         x0_mm, y0_mm = (-half_cells * spacing_mm).tolist()
         columns, rows = (2 * half_cells + 1).tolist()
         return cls(x0_mm, y0_mm, spacing_mm, columns, rows)

@@ -18,19 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.benchmarks.render.scenes import OWN_LIT_SENSORS, STORED_SCENES, stored_reference
-from gelgap.render import Illumination, MembraneRenderer, Sensor, difference_picture
-from gelgap.render.imaging import encode
-from gelgap.sim import (
-    Elastomer,
-    MembraneState,
-    Pose,
-    QualityName,
-    Sphere,
-    load_indenter,
-    solve_pose,
-    solve_poses,
-)
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.render.imaging import difference_picture, encode
+from gelgap.sim import Elastomer, MembraneState, Pose, Sphere, load_indenter, solve_pose, solve_poses
 from gelgap.sim.objects import OBJECTS
+from gelgap.sim.problem import QualityName
 
 Picture = NDArray[np.uint8]
 
@@ -179,12 +171,12 @@ def browser_page(address: str) -> Iterator[Any]:
 
 def draw_view(path: Path) -> None:
     """Open the page on a press, wait until the gel is solved and the browser has drawn it, and take the picture."""
-    from gelgap.view import open_page
+    from gelgap.view.page import Page
     from gelgap.view.state import Configuration
 
     start = replace(PAGE_POSE, depth_mm=0.7)
     gel, sensor = Elastomer.preset("e04"), Sensor.preset("paper")
-    opened = open_page(Configuration(gel, sensor, Illumination.preset("i0"), start), port=0)
+    opened = Page(Configuration(gel, sensor, Illumination.preset("i0"), start), "127.0.0.1", 0)
     try:
         with browser_page(opened.address) as page:
             page.get_by_text("interpolated").first.wait_for()

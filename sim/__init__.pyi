@@ -1,5 +1,3 @@
-from .estimate import Diagnostics as Diagnostics
-from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
 from .library import LibraryPlan as LibraryPlan
 from .library import PoseLibrary as PoseLibrary
@@ -9,13 +7,10 @@ from .path import ContactPath as ContactPath
 from .path import ForcePath as ForcePath
 from .path import PosePath as PosePath
 from .path import load_path as load_path
-from .plan import Solve as Solve
-from .plan import SolvePlan as SolvePlan
 from .plan import plan_solves as plan_solves
 from .press import pose_for_force as pose_for_force
 from .press import solve_pose as solve_pose
 from .press import solve_poses as solve_poses
-from .problem import QualityName as QualityName
 from .scene import Elastomer as Elastomer
 from .scene import Pose as Pose
 from .scene import Sharing as Sharing
@@ -26,8 +21,4 @@ from .shapes import Cylinder as Cylinder
 from .shapes import Edge as Edge
 from .shapes import Ellipsoid as Ellipsoid
 from .shapes import load_indenter as load_indenter
-from .slip import Slip as Slip
-from .solution import clear_cache as clear_cache
-from .solved import SolvedPose as SolvedPose
 from .surface import Surface as Surface
-from .traction import Traction as Traction

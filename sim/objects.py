@@ -81,9 +81,9 @@ def surface_mesh_mm(body: Indenter, subdivisions: int = 5) -> tuple[Floats, NDAr
     return np.array(hull.vertices), np.array(hull.faces)
 
 
-def _solid(inside: Floats, base_mm: float = _RELIEF_MM) -> Floats:
+def _solid(inside: Floats) -> Floats:
     """Return a relief whose faces are `inside`, on a plate a relief's height further up."""
-    return np.where(inside, 0.0, base_mm)
+    return np.where(inside, 0.0, _RELIEF_MM)
 
 
 def _balls(

@@ -24,9 +24,8 @@ from gelgap.sim.membrane import (
 from gelgap.sim.relief import recesses_of, with_fill
 from gelgap.sim.rim import contact_radius_mm, twist_factor
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
-from gelgap.sim.slip import Slip, Stand, slip_between
 from gelgap.sim.solution import Record, Solution
-from gelgap.sim.traction import Traction, balanced_traction
+from gelgap.sim.traction import Slip, Stand, Traction, balanced_traction, slip_between
 
 # Beside an edge that presses, vertices bear the load in turn; recesses are filled by what those along so many points of
 # the grid, half a millimetre, bear together.

@@ -1,4 +1,4 @@
-"""How the indenter's force is spread over the membrane: contact stress on the rest grid, and forces on a coarse grid.
+"""What happens between membrane and indenter: contact stress on the rest grid, forces on a coarse grid, and slip.
 
 The stress is that of the vertices' contact forces over their shares of the deformed surface, interpolated. What that
 loses of the force and the torque is given back where the stress is, so that the map's integrals are the labels.
@@ -7,6 +7,7 @@ loses of the force and the torque is given back where the stress is, so that the
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,17 +71,13 @@ class Traction:
         area = _area_vectors_mm2(self.state.places_mm)
         return area / np.linalg.norm(area, axis=-1, keepdims=True)
 
-    def coarse_n(
-        self,
-        shape: tuple[int, int] = COARSE_SHAPE,
-        half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
-    ) -> Floats:
-        """Return the force (rows, columns, 3) in N on each cell of a coarse grid around the sensor's centre.
+    def coarse_n(self, half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Floats:
+        """Return the force (24, 32, 3) in N on each cell of a coarse grid around the sensor's centre.
 
         A point's force goes to the cell that the point is in, as deformed, or to the outermost ones beyond the extent:
         the sum is the force.
         """
-        place, (rows, columns) = self.state.places_mm, shape
+        place, (rows, columns) = self.state.places_mm, COARSE_SHAPE
         column = np.floor((place[..., 0] / half_extent_mm[0] + 1) / 2 * columns).clip(0, columns - 1)
         row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
         cell = (row * columns + column).astype(int).ravel()
@@ -131,3 +128,43 @@ def _area_vectors_mm2(places_mm: Floats) -> Floats:
     """Return the deformed area (ny, nx, 3) of each grid point's part of the membrane, along its outward normal."""
     along_y, along_x = np.gradient(places_mm, axis=(0, 1))
     return np.cross(along_x, along_y)
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """How far the membrane has slid over the indenter since an earlier pose, on the rest grid.
+
+    `slip_mm` (ny, nx, 3) is in the sensor's axes, and NaN where the membrane does not touch the indenter at both poses.
+    It is net slip: what went and came back is none. At the contact's rim, where the grid is finer than the mesh, it is
+    uncertain by some hundredths of a millimetre.
+    """
+
+    __repr__ = one_line
+
+    x_mm: Floats
+    y_mm: Floats
+    slip_mm: Floats
+
+    def save(self, path: str | Path) -> None:
+        """Write an npz of x_mm, y_mm and slip_mm."""
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, x_mm=self.x_mm, y_mm=self.y_mm, slip_mm=self.slip_mm)
+
+
+class Stand(NamedTuple):
+    """Where an indenter's origin (3,) is on the sensor, and how it is turned (3, 3)."""
+
+    origin_mm: Floats
+    turn: Floats
+
+
+def slip_between(first: MembraneState, first_stand: Stand, then: MembraneState, then_stand: Stand) -> Slip:
+    """Return how far the membrane has slid over the indenter between two poses of one solve, on one grid.
+
+    Where the membrane sticks, it goes where the indenter's travel and turn carry it; slip is how far it is from there.
+    """
+    turn = then_stand.turn @ first_stand.turn.T
+    carried_mm = then_stand.origin_mm + (first.places_mm - first_stand.origin_mm) @ turn.T
+    touching = first.contact & then.contact
+    slip_mm = np.where(touching[..., None], then.places_mm - carried_mm, np.nan)
+    return Slip(then.x_mm, then.y_mm, slip_mm)

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gelgap.adapt import find_method
 from gelgap.adapt.evaluation import BASELINES
+from gelgap.adapt.methods.registry import find_method
 from gelgap.benchmarks.adaptation.board import BY_POINT
 from gelgap.benchmarks.adaptation.groups import load_headline
 from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid

@@ -34,11 +34,11 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 # One person is to hold the house in the head: what counts first is its doors. Their ceilings fall from release to
 # release; lines and files rose for what bodies by their surface and methods of the field may take.
-MOST_PUBLIC_NAMES = 150
-MOST_ARGUMENTS = 124
-MOST_NAMES_OF_ARGUMENTS = 76
-MOST_LINES = 37_420
-MOST_FILES = 212
+MOST_PUBLIC_NAMES = 109
+MOST_ARGUMENTS = 122
+MOST_NAMES_OF_ARGUMENTS = 75
+MOST_LINES = 36_923
+MOST_FILES = 194
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
@@ -155,7 +155,7 @@ def test_no_file_is_longer_than_a_reader_can_hold() -> None:
 
 
 def test_a_short_module_has_more_than_one_importer_or_is_part_of_it() -> None:
-    """What a room's face (`__init__.pyi`) names is for everybody; a benchmark that the registry names is a command."""
+    """What a room's face (`__init__.pyi`) names is for everybody; a benchmark that the command names is for it."""
     importers = defaultdict(set)
     for _, source in by_room():
         for name in imported_names(source):

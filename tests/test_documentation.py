@@ -66,7 +66,6 @@ NOT_RUN = {
     r"gelgap demo": "tests/cli/test_demo.py runs it",
     r"gelgap benchmark physics-shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
-    r"gelgap benchmark adaptation-(inputs|lights)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",

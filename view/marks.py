@@ -9,8 +9,8 @@ import numpy as np
 
 from gelgap.assets.image_file import read_image
 from gelgap.domains.press_folder import LIST, SHEET, save_marks
-from gelgap.render import difference_picture
 from gelgap.render.calibration.pictures import ListedPress, read_press_list
+from gelgap.render.imaging import difference_picture
 from gelgap.view.page import start_server
 from gelgap.view.panels import sentence_html
 

@@ -11,10 +11,11 @@ from PIL import Image
 
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
-from gelgap.sim import MembraneState, SolvedPose
+from gelgap.sim import MembraneState
 from gelgap.sim.library import LibraryPose
 from gelgap.sim.objects import surface_mesh_mm
 from gelgap.sim.shapes import AnyIndenter
+from gelgap.sim.solved import SolvedPose
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]

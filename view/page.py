@@ -10,7 +10,7 @@ from queue import SimpleQueue
 import viser
 
 from gelgap.assets.names import quoted
-from gelgap.render import difference_picture
+from gelgap.render.imaging import difference_picture
 from gelgap.sim import Sphere
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, Readout, narrow_html
@@ -34,37 +34,26 @@ _SCENE_STAYS_IN_VIEW = """<style>@media (max-width: 699px) {
 }</style>"""
 
 
-def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> "Page":
-    """Open the page of a configuration; port 0 takes any free one, and `close` ends it.
+class Page:
+    """The page of a configuration, open until `close`; `address` is where a browser finds it.
+
+    The model works in one thread of its own, on the newest configuration alone, so that no knob ever waits. Port 0
+    takes any free one.
 
     Raises
     ------
     ValueError
         If the gel is too thin for a library, the port is taken, or the host is not this machine's.
     """
-    return Page(start, host, port)
 
-
-class Page:
-    """A page that is open until `close`; `address` is where a browser finds it.
-
-    The model works in one thread of its own, on the newest configuration alone, so that no knob ever waits.
-    """
-
-    def __init__(
-        self,
-        start: Configuration,
-        host: str,
-        port: int,
-        make_solver: Callable[[Callable[[Answer], None]], Solver] = Solver,
-    ) -> None:
+    def __init__(self, start: Configuration, host: str, port: int) -> None:
         start.library_keys()
         self._server = start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         self.shown: Shown | None = None
         """What the page shows now."""
         self._model = LiveModel()
-        self._solver = make_solver(lambda answer: self.do(lambda: self._take_in(answer)))
+        self._solver = Solver(lambda answer: self.do(lambda: self._take_in(answer)))
         self._tasks: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._lock = threading.Lock()
         self._wanted: Configuration | None = None

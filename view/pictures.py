@@ -16,7 +16,8 @@ from gelgap.render import (
     encode,
 )
 from gelgap.render.imaging import picture_gap
-from gelgap.sim import MembraneState, QualityName
+from gelgap.sim import MembraneState
+from gelgap.sim.problem import QualityName
 
 SIZE_PX = (320, 240)
 NOISE_SEED = 0

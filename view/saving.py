@@ -48,14 +48,14 @@ def settings_toml(settings: Elastomer | Illumination) -> bytes:
     return tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
 
 
-def sensor_files(sensor: Sensor, name: str = "sensor") -> dict[str, bytes]:
+def sensor_files(sensor: Sensor) -> dict[str, bytes]:
     """Return the file that `--sensor` takes, and its flat field, by their names."""
     with tempfile.TemporaryDirectory() as folder:
-        save_sensor(sensor, Path(folder) / f"{name}.toml")
+        save_sensor(sensor, Path(folder) / "sensor.toml")
         return {file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}
 
 
-def recipe_toml(source: Configuration, target: Configuration, path: str = "cpu") -> bytes:
+def recipe_toml(source: Configuration, target: Configuration) -> bytes:
     """Return the file of a source and a target that `gelgap generate` takes.
 
     Raises
@@ -69,7 +69,7 @@ def recipe_toml(source: Configuration, target: Configuration, path: str = "cpu")
             "recipe cannot hold: press both with one"
         )
     domains = [_entry("source", source), _entry("target", target)]
-    return tomli_w.dumps({"path": path, "domains": domains}).encode()
+    return tomli_w.dumps({"path": "cpu", "domains": domains}).encode()
 
 
 def _entry(name: str, configuration: Configuration) -> dict[str, Any]:

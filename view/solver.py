@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from gelgap.sim import PoseLibrary, SolvedPose
+from gelgap.sim import PoseLibrary
 from gelgap.sim.plan import plan_visit
+from gelgap.sim.solved import SolvedPose
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 Request = LibraryRequest | PoseRequest

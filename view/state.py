@@ -7,21 +7,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import (
-    Elastomer,
-    LibraryPlan,
-    Pose,
-    PoseLibrary,
-    PoseRanges,
-    QualityName,
-    SolvedPose,
-    Sphere,
-    solve_pose,
-)
+from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, Sphere, solve_pose
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.library import LibraryPose
+from gelgap.sim.problem import QualityName
 from gelgap.sim.scene import is_interior
 from gelgap.sim.shapes import AnyIndenter
+from gelgap.sim.solved import SolvedPose
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6

@@ -16,10 +16,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
-from gelgap.adapt import ResultTable
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
-from gelgap.adapt.result_table import cell
+from gelgap.adapt.result_table import ResultTable, cell
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import AXES, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN, UPPER_BOUND
 from gelgap.benchmarks.adaptation.study import (

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from gelgap.adapt import ResultTable
 from gelgap.adapt.inputs import INPUTS
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN
 from gelgap.benchmarks.adaptation.groups import (

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import ResultTable, evaluate_predictions
+from gelgap.adapt.evaluation import evaluate_predictions
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.names import is_plain_name
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN

@@ -22,16 +22,6 @@ def run_groups(quick: bool, out_dir: Path) -> None:
     measure("groups", Study.at(folder, workers=1 if quick else None))
 
 
-def run_inputs(quick: bool, out_dir: Path) -> None:
-    """Compare inputs; there is no quick form."""
-    measure("inputs", Study.at(out_dir / "adaptation" / BOARD))
-
-
-def run_lights(quick: bool, out_dir: Path) -> None:
-    """Compare training in random lights with adaptation; there is no quick form."""
-    measure("lights", Study.at(out_dir / "adaptation" / BOARD))
-
-
 def measure(name: str, study: Study) -> None:
     """Do the missing runs of a part, print its tables and write the report of all parts.
 

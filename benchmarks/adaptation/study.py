@@ -7,7 +7,6 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 import datetime
 import hashlib
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -17,15 +16,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.checksums import canonical_json
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 
 if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile, SplitFrames, Stage1
-    from gelgap.domains import DomainRecipe, GeneratedDomain, LabelledFrames
+    from gelgap.adapt import ForceModel, Profile
+    from gelgap.adapt.data import SplitFrames
+    from gelgap.adapt.runs import Stage1
+    from gelgap.domains import DomainRecipe, LabelledFrames
+    from gelgap.domains.frames.stored import GeneratedDomain
 
 RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
@@ -200,14 +202,14 @@ class Study:
 
     def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
         """Return the first stage of a run, whose checkpoint all methods of a group, split and seed share."""
-        from gelgap.adapt import Stage1
+        from gelgap.adapt.runs import Stage1
 
         return Stage1(source_train, self.profile_of(run), run["seed"], None, self.out)
 
 
 def train_once(stage1: "Stage1", method: str) -> float:
-    """Train the first stage that a method needs, or wait until another run has; return the time it took now, s."""
-    from gelgap.adapt import find_method
+    """Train the first stage that a method needs, or wait until another has; return its processor time now, s."""
+    from gelgap.adapt.methods.registry import find_method
 
     if not find_method(method).needs_stage_1:
         return 0.0
@@ -245,19 +247,16 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
 
     A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
-    with the errors of the source's mean force. Times are the processor's, stage 2 with its evaluation; `stage1_s` is 0
-    where another run had trained the checkpoint.
+    with the errors of the source's mean force. Times are the processor's; `stage1_s` is 0 where another run had trained
+    the checkpoint.
     """
-    from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import find_method
     from gelgap.adapt.runs import Group
 
     frames = study.frames_of(run)
     stage1 = study.stage1(run, frames.source_train)
-    begun = time.process_time()
-    trains_now = train_once(stage1, run["method"]) > 0
-    ready = time.process_time()
+    stage1_s = train_once(stage1, run["method"])
     done, model = Group(frames, stage1).run(run["method"])
-    stage2_s = time.process_time() - ready
     results = {
         "versions": versions_line(),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
@@ -267,8 +266,8 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
         "r2": short(done.target_test.r2),
         "constant_mean_n": short(done.target_constant_mean.mae_n),
         "source_held_out_r2": done.source_held_out and short(done.source_held_out.r2),
-        "stage1_s": round(ready - begun, 2) if trains_now else 0.0,
-        "stage2_s": round(stage2_s, 2),
+        "stage1_s": round(stage1_s, 2),
+        "stage2_s": round(done.core_s["stage2"], 2),
         "skipped_steps": done.skipped_steps,
         "diagnostics": short(done.history[-1].get("diagnostics", {}) if done.history else {}),
         "baselines_mae_n": {name: short(error.mae_n) for name, error in done.baselines.items()},
@@ -308,7 +307,7 @@ def control_of(method: str) -> str | None:
     Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
     2 without a loss.
     """
-    from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import find_method
 
     found = find_method(method)
     if method in _CONTROLS or not found.uses_target or found.uses_target_labels:

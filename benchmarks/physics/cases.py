@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from gelgap import sim
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvedPose, SolvePlan, Sphere
-from gelgap.sim.plan import plan_visit
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
+from gelgap.sim.plan import Solve, SolvePlan, plan_visit
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
+from gelgap.sim.solved import SolvedPose
 
 Floats = NDArray[np.float64]
 SLOWEST_FIRST = ("fine", "standard", "draft")

@@ -10,7 +10,8 @@ import pandas as pd
 from gelgap.benchmarks.common import rms
 from gelgap.benchmarks.physics.cases import Case, Floats, Truth, solved_cases
 from gelgap.render.imaging import psnr_db
-from gelgap.sim import Box, Edge, MembraneState, Traction
+from gelgap.sim import Box, Edge, MembraneState
+from gelgap.sim.traction import Traction
 
 Picture = Callable[[MembraneState], np.ndarray]
 """Renders a membrane."""

@@ -1,4 +1,4 @@
-"""`gelgap benchmark stability --what physics`: hundreds of scenes, each checked against physical invariants.
+"""`gelgap benchmark stability`: hundreds of scenes, each checked against physical invariants.
 
 The scenes are the corners of a box of spheres, and others drawn by their number: bodies, gels, depths, slides to 2 mm.
 Each is solved in a process of its own with a time limit, those first that are expected to end soon, and its verdict is
@@ -24,9 +24,10 @@ import pandas as pd
 
 from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.benchmarks.physics.cases import Case
-from gelgap.sim import Elastomer, Indenter, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
 from gelgap.sim.cost import expected_core_s
 from gelgap.sim.estimate import LARGEST_ESTIMATE
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.scene import deepest_mm
 
 MODULE = "gelgap.benchmarks.physics.stability"
@@ -268,17 +269,13 @@ def summarise(verdicts: pd.DataFrame, file: Path) -> None:
 
 
 def main() -> None:
-    """Judge one scene, or all at a quality."""
-    parser = argparse.ArgumentParser(description="Stress the physics.")
-    parser.add_argument("--only", type=int, help="judge this scene alone and print its verdict")
+    """Judge one scene, and print its verdict."""
+    parser = argparse.ArgumentParser(description="Stress the physics by one scene.")
+    parser.add_argument("--only", type=int, required=True, help="number of the scene")
     parser.add_argument("--quality", default="standard")
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results"))
     chosen = parser.parse_args()
-    if chosen.only is None:
-        judge_scenes(range(CORNERS + SCENES), chosen.quality, chosen.out)
-    else:
-        print(numbered_case(chosen.only, chosen.quality))
-        print(json.dumps(judge(chosen.only, chosen.quality)))
+    print(numbered_case(chosen.only, chosen.quality))
+    print(json.dumps(judge(chosen.only, chosen.quality)))
 
 
 if __name__ == "__main__":

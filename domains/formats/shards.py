@@ -19,7 +19,8 @@ import pyarrow.parquet as pq
 
 from gelgap.domains.domain import OptionalColumn
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.sim import Diagnostics, MembraneState, Pose
+from gelgap.sim import MembraneState, Pose
+from gelgap.sim.estimate import Diagnostics
 
 if TYPE_CHECKING:
     from gelgap.render import MembraneRenderer

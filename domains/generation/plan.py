@@ -9,22 +9,12 @@ from typing import Any
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.domains.formats.domain_folder import shard_name
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim import (
-    ContactPath,
-    Elastomer,
-    Indenter,
-    LibraryPlan,
-    Pose,
-    PosePath,
-    PoseRanges,
-    Solve,
-    SolvedPose,
-    SolvePlan,
-    plan_solves,
-)
+from gelgap.sim import ContactPath, Elastomer, LibraryPlan, Pose, PosePath, PoseRanges, plan_solves
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.library import LibraryPose
-from gelgap.sim.plan import PoseSource, joined
+from gelgap.sim.plan import PoseSource, Solve, SolvePlan, joined
 from gelgap.sim.scene import is_interior
+from gelgap.sim.solved import SolvedPose
 
 FRAMES_PER_SHARD = 128
 

@@ -6,6 +6,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -95,14 +96,15 @@ def calibrate_light(
     ----------
     sensor
         The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
-        the LEDs' places, sizes and colours are fitted. `gelgap.domains.lit_from_dents` finds directions.
+        the LEDs' places, sizes and colours are fitted. `lit_from_dents` finds directions.
     reference
         uint8 (h, w, 3) without contact.
     presses
         Six presses or more, spread over the view, each with its sphere's diameter.
     membranes
         Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
-        called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
+        called with all diameters once the pictures are known to be right: `sphere_profiles` of
+        `gelgap.domains.calibration_presses`.
     keep_camera
         Whether the camera stays as it is; otherwise its distance and blur are fitted, and it shows the same of the gel.
     folds
@@ -117,9 +119,7 @@ def calibrate_light(
         inside or around the contact.
     """
     if sensor.illumination is None:
-        raise ValueError(
-            f"sensor {sensor.name!r} has no LEDs of its own; `gelgap.domains.lit_from_dents` finds some"
-        )
+        raise ValueError(f"sensor {sensor.name!r} has no LEDs of its own; `lit_from_dents` finds some")
     if len(presses) < FEWEST_PRESSES:
         raise ValueError(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
@@ -154,7 +154,7 @@ def calibrate_light(
         other = task.fit(np.delete(used, part))
         table = other.normal_table()
         drawn += [_Drawn.of(other, int(press), table) for press in used[part]]
-    share = table_share([press.levels() for press in drawn]) if drawn else 0.0
+    share = table_share([press.levels for press in drawn]) if drawn else 0.0
     held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
@@ -356,20 +356,21 @@ class _Drawn:
 
         return cls(seen, press, drawn(fit.expected_mm(press)), drawn(fit.refined(press).presses[0]))
 
+    @cached_property
     def levels(self) -> list[tuple[float, float]]:
-        """Return the scores as marked, for each of `TABLE_SHARES`."""
+        """The scores as marked, for each of `TABLE_SHARES`, of which the last is the table alone."""
         return [self.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
 
     def held_out(self, share: float) -> HeldOut:
         """Return how the press is predicted with a share of the table."""
-        seen, press, picture = self.placed, self.press, _mixed(self.marked, share)
+        seen, press = self.placed, self.press
         return HeldOut(
             seen.names[press],
             unchanged=seen.scores(press, seen.reference),
-            table=seen.scores(press, self.marked[1]),
-            marked=seen.scores(press, picture),
+            table=self.levels[-1],
+            marked=self.levels[TABLE_SHARES.index(share)],
             refined=seen.scores(press, _mixed(self.refined, share)),
-            picture=picture,
+            picture=_mixed(self.marked, share),
         )
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from gelgap.adapt import Evaluation, ForceModel, evaluate, finetune
+from gelgap.adapt import ForceModel, evaluate, finetune
+from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.few_labels import Pretraining
 from gelgap.cli.main import main
 from gelgap.domains import open_domain

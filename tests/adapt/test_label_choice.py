@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gelgap.adapt import (
-    Evaluation,
     ForceModel,
     adapt_folders,
     affine_correction,
@@ -20,6 +19,7 @@ from gelgap.adapt import (
     train_source,
     write_report,
 )
+from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.report import axis_table, error_table, force_scatter
 from gelgap.assets.checksums import SUMS
 from gelgap.cli.main import main
@@ -113,6 +113,13 @@ def test_a_run_of_generated_domains_keeps_its_oracles_and_what_no_picture_shows(
     text = write_report(tmp_path).with_suffix(".md").read_text()
     assert "| mb0i0 → wmb1i1 | modulus 1 and 2 MPa |" in text
     assert "pose oracle" in text
+
+
+def test_pictures_are_not_shifted_where_a_contact_point_is_learnt(source, target, short, tmp_path):
+    x_mm = np.random.default_rng(0).uniform(-4, 4, len(source))
+    pair = [on(frames, "fz_n", x_mm=x_mm) for frames in (source, target)]
+    with pytest.raises(ValueError, match="shift_px = 3: a shifted picture shows another x_mm than its label"):
+        adapt_folders(*pair, ["adabn"], short.replace(shift_px=3), labels=["x_mm", "fz_n"], out_dir=tmp_path)
 
 
 def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_path):

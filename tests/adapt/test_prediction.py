@@ -15,11 +15,11 @@ from gelgap.adapt import (
     affine_correction,
     camera_pictures,
     evaluate,
-    evaluate_predictions,
     export_onnx,
     predict_each,
     train_source,
 )
+from gelgap.adapt.evaluation import evaluate_predictions
 from gelgap.adapt.model import AffineCorrection
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.prediction import range_note

@@ -322,7 +322,7 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target
 def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=2, adapt_epochs=1)
     runs = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
-    assert runs[1].wall_s["stage1"] == 0
+    assert runs[1].core_s["stage1"] == 0
     again = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
     assert again == runs
     assert sorted(run.method for run in load_runs(tmp_path)) == ["dsan", "source-only"]
@@ -390,7 +390,7 @@ def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_pa
 
     adapt_folders(source, target, ["dsan"], short, out_dir=tmp_path, progress=join)
     assert [run.method for run in joined] == ["adabn"]
-    assert joined[0].wall_s["stage1"] == 0
+    assert joined[0].core_s["stage1"] == 0
     assert len(load_runs(tmp_path)) == 2
 
 

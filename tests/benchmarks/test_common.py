@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.common import (
     drawn_means,
     interval,

@@ -23,7 +23,10 @@ WRONG: dict[str, tuple[str, str]] = {
         "--save = 'file.txt/below.npz': the folder file.txt does not",
     ),
     "output_folder": ("generate mb0i0 --out file.txt/below", "file.txt is a file; name a folder"),
-    "workers": ("demo --workers foo", "--workers = 'foo': scheduler 'foo' must be synchronous"),
+    "workers": (
+        "generate mb0i0 --out x --workers foo",
+        "--workers = 'foo': scheduler 'foo' must be synchronous",
+    ),
     "check_what": ("generate mb9i0 --out o", "what = 'mb9i0': domain 'mb9i0' is unknown"),
     "list_presets": ("presets gels", "kind = 'gels'"),
     "force_ranges": ("generate mb0i0 --out o --range fz_n=0", "--range = 'fz_n=0'"),

@@ -10,9 +10,9 @@ import pytest
 
 from gelgap.cli.calibrate import doubt_of_scale
 from gelgap.cli.main import main
-from gelgap.render import Camera, LightCalibration, PressPicture, Sensor
-from gelgap.render.calibration.calibrator import HeldOut
-from gelgap.render.calibration.pictures import read_presses
+from gelgap.render import Camera, Sensor
+from gelgap.render.calibration.calibrator import HeldOut, LightCalibration
+from gelgap.render.calibration.pictures import PressPicture, read_presses
 from gelgap.render.flat_field import FlatFieldMaps
 from gelgap.render.light.scattered import Scattered
 
@@ -68,7 +68,9 @@ def fitted_light() -> LightCalibration:
 def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, **__: fitted_light())
+    monkeypatch.setattr(
+        "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, **__: fitted_light()
+    )
     presses = listed(tmp_path, "depth_mm = 0.6")
     given = [str(presses), "--reference", str(tmp_path / "p.png"), "--sensor", "digit-like"]
     main(["calibrate", *given, "-o", str(tmp_path / "own.toml")])
@@ -90,7 +92,9 @@ def test_a_large_residual_is_warned_of(
     given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
     for rms, warned in ((4.9, False), (23.6, True)):
         fit = replace(fitted_light(), rms_code_values=rms)
-        monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, fit=fit, **__: fit)
+        monkeypatch.setattr(
+            "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, fit=fit, **__: fit
+        )
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
         assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
@@ -104,7 +108,9 @@ def test_what_makes_a_fit_doubtful_is_said(
     monkeypatch.setattr("gelgap.cli.calibrate.held_out_pairs", lambda *_: [])
     for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
         found = replace(fit, held_out=held_out, at_limits=limits)
-        monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, found=found, **__: found)
+        monkeypatch.setattr(
+            "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, found=found, **__: found
+        )
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
         out, err = capsys.readouterr()
         worse = "press 2 (q.png), around its contact 21.5 dB (unchanged reference 24.0)"

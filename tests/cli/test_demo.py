@@ -1,10 +1,12 @@
 """The demo at its smallest: every stage runs, the page holds its pictures."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from gelgap import domains
 from gelgap.adapt import Profile
 from gelgap.cli.main import main
 
@@ -23,7 +25,8 @@ def test_the_demo_runs_end_to_end(
     few_epochs = Profile.preset("smoke").replace(source_epochs=4, adapt_epochs=2)
     monkeypatch.setattr(Profile, "preset", lambda name: few_epochs)
     monkeypatch.setattr("gelgap.cli.demo.PATH", str(tmp_path / "tiny.toml"))
-    main(["demo", "--out", str(tmp_path), "--workers", "synchronous"])
+    monkeypatch.setattr(domains, "generate", partial(domains.generate, scheduler="synchronous"))
+    main(["demo", "--out", str(tmp_path)])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == page.count('<label class="picture">') == 2
     assert "http" not in page

@@ -14,7 +14,7 @@ from gelgap.assets.image_file import decode_image
 from gelgap.domains.formats.pictures import decode_column, encode_png, resized
 from gelgap.domains.frames.dataset import ArrayFrames
 from gelgap.domains.frames.folders import open_domain
-from gelgap.sim import Diagnostics
+from gelgap.sim.estimate import Diagnostics
 
 
 def test_frames_have_the_labels_of_their_pose(data: Path):

@@ -14,7 +14,8 @@ from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.splits import split_frames
 from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
 from gelgap.render import MembraneRenderer, Sensor
-from gelgap.sim import Pose, PosePath, SolvePlan
+from gelgap.sim import Pose, PosePath
+from gelgap.sim.plan import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains import inspect_domain, verify_domain, write_overview
+from gelgap.domains import verify_domain
 from gelgap.domains.frames.folders import domain_folders
+from gelgap.domains.inspection import inspect_domain, write_overview
 
 
 def test_the_facts_are_those_of_the_data(data: Path):

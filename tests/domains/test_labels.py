@@ -7,19 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains import (
-    ArrayFrames,
-    Labels,
-    inspect_domain,
-    join_domains,
-    open_domain,
-    verify_domain,
-    with_labels,
-    write_overview,
-)
+from gelgap.domains import ArrayFrames, Labels, join_domains, open_domain, verify_domain, with_labels
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
 from gelgap.domains.frames.run_labels import force_classes, labels_of_run
+from gelgap.domains.inspection import inspect_domain, write_overview
 
 
 def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None = None) -> Path:

@@ -20,7 +20,8 @@ from real_clones import (
 )
 
 from gelgap.cli.main import main
-from gelgap.domains import ConvertedClip, convert
+from gelgap.domains import convert
+from gelgap.domains.formats.convert import ConvertedClip
 from gelgap.domains.formats.published_sets import LAYOUTS, read_pickled_array
 
 

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains import inspect_domain, open_domain, verify_domain, write_overview
+from gelgap.domains import open_domain, verify_domain
 from gelgap.domains.frames.labels import known_labels
+from gelgap.domains.inspection import inspect_domain, write_overview
 
 
 def picture(path: Path, level: int, size: tuple[int, int] = (64, 48)) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from quick_solves import SMALL_RANGES
 
-from gelgap.domains import PressSample, PressStream, PretrainingRanges, stream
+from gelgap.domains import PressStream, PretrainingRanges, stream
+from gelgap.domains.stream import PressSample
 from gelgap.render import MembraneRenderer
 
 RANGES = PretrainingRanges(**PretrainingRanges.default().model_dump() | tomllib.loads(SMALL_RANGES))

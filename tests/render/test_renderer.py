@@ -215,8 +215,8 @@ def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, 
         assert np.abs(everything.picture(*case).astype(int) - fast).max() <= 1
 
 
-@pytest.mark.parametrize("name", ["paper", "gelsight-2014-like", "gelsight-mini-fitted"])
-def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(dent, monkeypatch, name):
+@pytest.mark.parametrize("name", ["gelsight-2014-like", "gelsight-mini-like"])
+def test_gloss_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(dent, monkeypatch, name):
     sensor = Sensor.preset(name)
     light = sensor.illumination or Illumination.preset("i0")
     x, y, displacement = dent(0.7, (0.3, 0.1), (1.5, -1.0))
@@ -224,11 +224,8 @@ def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(de
     bulge = 0.06 * np.exp(-((x[None, :] / 4) ** 2) - (y[:, None] / 4) ** 2)
     membrane = x, y, displacement + np.stack([0.3 * bulge, -0.3 * bulge, bulge], axis=-1)
     quick = MembraneRenderer(sensor, light).picture(*membrane).astype(int)
-    monkeypatch.setattr("gelgap.render.light.irradiance.smooth_stride", lambda spacing_mm: 1)
     monkeypatch.setattr("gelgap.render.light.gloss.smooth_stride", lambda spacing_mm: 1)
-    # One of 230 400 values is two off where light grazes the gel at 7 to 9°; with LEDs 3° higher none is.
-    most = 2 if name == "gelsight-mini-fitted" else 1
-    assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= most
+    assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= 1
 
 
 def test_bytes_do_not_depend_on_what_was_rendered_before(renderer, dent):

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim import Elastomer, Pose, Sphere, Traction
+from gelgap.sim import Elastomer, Pose, Sphere
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
+from gelgap.sim.traction import Traction
 
 pytestmark = pytest.mark.numerical
 

@@ -48,10 +48,11 @@ class FakeSolver:
 
 
 @pytest.fixture
-def page(start: Configuration, dents: PoseLibrary) -> Iterator[Any]:
+def page(start: Configuration, dents: PoseLibrary, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     from gelgap.view.page import Page
 
-    page = Page(start, "127.0.0.1", 0, lambda on_answer: FakeSolver(on_answer, dents))
+    monkeypatch.setattr("gelgap.view.page.Solver", lambda on_answer: FakeSolver(on_answer, dents))
+    page = Page(start, "127.0.0.1", 0)
     yield page
     page.close()
 

@@ -6,7 +6,8 @@ import signal
 
 import pytest
 
-from gelgap.sim import Elastomer, Pose, SolvedPose, Sphere
+from gelgap.sim import Elastomer, Pose, Sphere
+from gelgap.sim.solved import SolvedPose
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver, Superseded, answer_to
 from gelgap.view.state import LibraryRequest, PoseRequest
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from run_records import Record, record, write_runs
 
-from gelgap.adapt import ResultTable, split_for_training
+from gelgap.adapt import split_for_training
 from gelgap.adapt.evaluation import evaluate_constant_mean
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.adaptation import board, leaderboard
 from gelgap.benchmarks.adaptation.groups import RULES
 from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, LIGHT_RUNS, changes_of

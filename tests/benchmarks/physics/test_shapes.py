@@ -8,7 +8,8 @@ import pytest
 
 from gelgap.benchmarks.physics.errors import errors, middle_errors, middle_force_n
 from gelgap.benchmarks.physics.references import across_cases, shape_cases, solid_cases, surface_cases
-from gelgap.sim import Cone, Cylinder, Edge, MembraneState, Traction
+from gelgap.sim import Cone, Cylinder, Edge, MembraneState
+from gelgap.sim.traction import Traction
 
 
 def test_the_tables_bodies_are_as_the_tables_say() -> None:
