@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
 from scipy.spatial import Delaunay
 
-from gelgap.sim.fronts import Condensation
+from gelgap.sim.fronts import Condensation, Group
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import shares_mm2
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
@@ -253,18 +253,18 @@ class ContactNewton:
     six dofs: three of its node, three of the indenter.
     """
 
-    def __init__(self, gel: GelModel, data: Any) -> None:
+    def __init__(self, gel: GelModel, data: Any, groups: list[Group]) -> None:
         model = gel.model
         self._model, self._data = model, data
         self._indenter_dofs = np.arange(model.nv)[gel.indenter_dof]
         self._diagonal_of_mass = model.M_rowadr + model.M_rownnz - 1
-        nodes = gel.vertex_of_geom[gel.vertex_of_geom >= 0]
-        inner = np.setdiff1d(np.flatnonzero(gel.vertex_dof >= 0), nodes)
+        # Each geom's J x − a_ref of the last solution; 1 where there was none: nothing presses.
+        self._relative = np.ones((model.ngeom, 3))
         starts = np.append(data.efm_K_rowadr, data.nefmK)
         stiffness = sparse.csr_array((data.efm_K_val, data.efm_K_colind, starts), shape=(model.nv, model.nv))
         # The mesh numbers its vertices in reverse order of elimination.
-        order = np.concatenate([inner[::-1], nodes])
-        self._condensation = Condensation(stiffness, gel.vertex_dof[order], len(nodes))
+        first_dof = gel.vertex_dof[gel.vertex_dof >= 0][::-1]
+        self._condensation = Condensation(stiffness, first_dof, groups)
 
     def factorise(self) -> None:
         """Factorise A of the present state.
@@ -276,8 +276,9 @@ class ContactNewton:
         """
         data = self._data
         diagonal = data.M[self._diagonal_of_mass] + data.efm_diag
-        lower = self._condensation.factorise(data.efm_K_val, diagonal)
-        self._whole, self._indenter_mass = lower + np.tril(lower, -1).T, diagonal[self._indenter_dofs]
+        self._lower = self._condensation.factorise(data.efm_K_val, diagonal)
+        self._indenter_mass = diagonal[self._indenter_dofs]
+        self._touched = np.zeros(0, dtype=bool)
 
     def acceleration(self) -> Floats:
         """Return the acceleration a (nv,) that solves the problem; the data's contact forces become those of it.
@@ -290,77 +291,126 @@ class ContactNewton:
             If A is not positive definite, or not finite.
         """
         data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
-        force, whole = data.qfrc_smooth + data.efm_c, self._whole
+        force = data.qfrc_smooth + data.efm_c
         contact_dofs = data.efc_J_colind.reshape(-1, 3, 6)[:, 0]
         right_side = self._condensation.condense(force)
         touched = np.isin(kept_dofs, contact_dofs)
-        factor = linalg.cholesky(whole[~touched][:, ~touched], lower=True, check_finite=False)
-        others = np.column_stack([whole[~touched][:, touched], right_side[~touched]])
-        others = linalg.solve_triangular(factor, others, lower=True, check_finite=False)
-        coupling, others = others[:, :-1], others[:, -1]
-        stiffness = whole[touched][:, touched] - coupling.T @ coupling
+        if not np.array_equal(touched, self._touched):
+            self._condense_onto(touched)
+        factor, coupling = self._factor_of_others, self._coupling
+        others = linalg.solve_triangular(factor, right_side[~touched], lower=True, check_finite=False)
         right_side = right_side[touched] - coupling.T @ others
-        if not (np.isfinite(stiffness).all() and np.isfinite(right_side).all()):
+        if not (np.isfinite(self._compliance).all() and np.isfinite(right_side).all()):
             raise np.linalg.LinAlgError("the gel's stiffness or force is not finite")
-        moving = np.concatenate([kept_dofs[touched], indenter_dofs])
+        moving = np.concatenate([indenter_dofs, kept_dofs[touched]])
         number = np.empty(len(force), dtype=np.int64)
         number[moving] = np.arange(len(moving))
-        solution = self._minimum(
-            linalg.block_diag(stiffness, np.diag(self._indenter_mass)),
-            np.concatenate([right_side, force[indenter_dofs]]),
-            number[contact_dofs],
-        )
-        kept, indenter = np.empty(len(kept_dofs)), solution[-len(indenter_dofs) :]
-        kept[touched] = solution[: -len(indenter_dofs)]
+        solution = self._minimum(np.concatenate([force[indenter_dofs], right_side]), number[contact_dofs])
+        kept, split = np.empty(len(kept_dofs)), len(indenter_dofs)
+        kept[touched] = solution[split:]
         left = others - coupling @ kept[touched]
         kept[~touched] = linalg.solve_triangular(factor, left, trans=1, lower=True, check_finite=False)
         acceleration = self._condensation.expand(kept)
-        acceleration[indenter_dofs] = indenter
+        acceleration[indenter_dofs] = solution[:split]
         return acceleration
 
-    def _minimum(self, stiffness: Floats, force: Floats, dofs: Ints) -> Floats:
-        """Return the minimum (n,) of ½ xᵀ `stiffness` x − `force` · x + the cost of contacts that act on `dofs` (c, 6).
+    def _condense_onto(self, touched: NDArray[np.bool_]) -> None:
+        """Condense A onto the indenter and those kept dofs that contacts act on, and invert it there."""
+        inner, outer = np.flatnonzero(touched), np.flatnonzero(~touched)
+        # The lower triangle alone is held.
+        coupling = self._lower[np.ix_(outer, inner)] + self._lower[np.ix_(inner, outer)].T
+        factor = linalg.cholesky(self._lower[np.ix_(outer, outer)], lower=True, check_finite=False)
+        coupling = linalg.solve_triangular(factor, coupling, lower=True, check_finite=False)
+        own = self._lower[np.ix_(inner, inner)]
+        own = own + np.tril(own, -1).T - coupling.T @ coupling
+        own_factor = linalg.cho_factor(own, lower=True, check_finite=False)
+        inverse = linalg.cho_solve(own_factor, np.eye(len(inner)), check_finite=False)
+        self._touched, self._factor_of_others, self._coupling = touched, factor, coupling
+        self._stiffness = linalg.block_diag(np.diag(self._indenter_mass), own)
+        self._compliance = linalg.block_diag(np.diag(1 / self._indenter_mass), inverse)
 
-        By Newton's method with a line search; `relative` is J x − a_ref.
+    def _minimum(self, force: Floats, dofs: Ints) -> Floats:
+        """Return the minimum (n,) of ½ xᵀ S x − `force` · x + the cost of contacts that act on `dofs` (c, 6).
+
+        S is the condensed stiffness. By Newton's method with a line search; `relative` is J x − a_ref.
         """
-        jacobian = self._data.efc_J.reshape(-1, 3, 6)
-        solution, relative = np.zeros(len(force)), -np.array(self._data.efc_aref)
+        jacobian, stiffness = self._data.efc_J.reshape(-1, 3, 6), self._stiffness
         given, left = np.linalg.norm(force), np.inf
+        solution, relative = self._start(force, jacobian, dofs)
         for _ in range(_MOST_ITERATIONS):
             contact_force = self._contact_force(relative, stiffness=True)
-            at_dofs = np.einsum("cij,ci->cj", jacobian, contact_force.reshape(-1, 3))
-            residual = stiffness @ solution - force - np.bincount(dofs.ravel(), at_dofs.ravel(), len(force))
+            residual = stiffness @ solution - force - _on_dofs(jacobian, contact_force, dofs, len(force))
             last, left = left, np.linalg.norm(residual)
             forces = np.linalg.norm(contact_force) + given
             if left <= _RESIDUAL_TOLERANCE * forces or last / 2 < left <= _ROUNDED_RESIDUAL * forces:
                 break
-            tangent = self._tangent(stiffness, jacobian, dofs)
-            factor = linalg.cho_factor(tangent, lower=True, overwrite_a=True, check_finite=False)
-            increment = -linalg.cho_solve(factor, residual, check_finite=False)
+            increment = self._increment(residual, jacobian, dofs)
             along = np.einsum("cij,cj->ci", jacobian, increment[dofs]).ravel()
             slope = residual @ increment + contact_force @ along
             length = self._line_search(slope, increment @ stiffness @ increment, relative, along)
             solution, relative = solution + length * increment, relative + length * along
+        self._relative[self._data.contact.geom.max(axis=1)] = np.nan_to_num(relative, nan=1.0).reshape(-1, 3)
         return solution
+
+    def _start(self, force: Floats, jacobian: Floats, dofs: Ints) -> tuple[Floats, Floats]:
+        """Return x (n,) and J x − a_ref (3 c,) to start at: what the tangent of where the last solution ended leads to.
+
+        From there half as many increments are left as from rest.
+        """
+        # The indenter's geom comes before those of nodes.
+        last = self._relative[self._data.contact.geom.max(axis=1)].ravel()
+        given = -np.array(self._data.efc_aref)
+        contact_force = self._contact_force(last, stiffness=True).reshape(-1, 3)
+        pressing, root = self._roots()
+        moved = (given - last).reshape(-1, 3)[pressing, :, None]
+        contact_force[pressing] -= (root @ (root.transpose(0, 2, 1) @ moved))[:, :, 0]
+        residual = -force - _on_dofs(jacobian, contact_force, dofs, len(force))
+        solution = self._increment(residual, jacobian, dofs)
+        return solution, given + np.einsum("cij,cj->ci", jacobian, solution[dofs]).ravel()
 
     def _contact_force(self, relative: Floats, *, stiffness: bool = False) -> Floats:
         """Return the contacts' forces (3 c,) at J x − a_ref (3 c,); the data gets their `stiffness`, if wanted."""
         mujoco.mj_constraintUpdate(self._model, self._data, relative, None, stiffness)
         return np.array(self._data.efc_force)
 
-    def _tangent(self, stiffness: Floats, jacobian: Floats, dofs: Ints) -> Floats:
-        """Return the tangent stiffness (n, n): `stiffness` plus that of the contacts at the last force."""
+    def _increment(self, residual: Floats, jacobian: Floats, dofs: Ints) -> Floats:
+        """Return what takes a residual (n,) away, by the tangent at the last force.
+
+        That is S + N Nᵀ, with a column of N for each row of a contact that presses. Their number is what is solved for
+        (Woodbury's identity): a third to a half of all dofs, since contacts are near vertices rather than touched ones.
+        """
+        pressing, root = self._roots()
+        compliance = self._compliance
+        free = -compliance @ residual
+        if not len(pressing):
+            return free
+        columns, dofs = jacobian[pressing].transpose(0, 2, 1) @ root, dofs[pressing]
+        # A contact's first three dofs are the indenter's.
+        own, of_node = dofs[:, 3:].ravel(), columns[:, 3:].transpose(0, 2, 1)
+        count = len(pressing)
+        tangent = of_node @ compliance[np.ix_(own, own)].reshape(count, 3, -1)
+        tangent = of_node @ tangent.reshape(3 * count, -1).T.reshape(count, 3, -1)
+        tangent = tangent.reshape(3 * count, -1)
+        of_indenter = columns[:, :3].transpose(0, 2, 1).reshape(-1, 3)
+        tangent += of_indenter @ compliance[:3, :3] @ of_indenter.T
+        tangent[np.diag_indices_from(tangent)] += 1
+        factor = linalg.cho_factor(tangent, lower=True, overwrite_a=True, check_finite=False)
+        press = np.einsum("cji,cj->ci", columns, free[dofs]).ravel()
+        press = linalg.cho_solve(factor, press, check_finite=False)
+        return free - compliance @ _on_dofs(columns.transpose(0, 2, 1), press, dofs, len(free))
+
+    def _roots(self) -> tuple[Ints, Floats]:
+        """Return which contacts (p,) press at the last force, and R (p, 3, 3) of each, whose stiffness is R Rᵀ."""
         data, states = self._data, mujoco.mjtConstraintState
         # An array is compared with a number, which is faster than with MuJoCo's own constant.
         quadratic, cone = int(states.mjCNSTRSTATE_QUADRATIC), int(states.mjCNSTRSTATE_CONE)
-        state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy().T
-        sticks, slides = state == quadratic, state == cone
-        of_contact = np.zeros((len(state), 3, 3))
-        of_contact[sticks] = data.efc_D.reshape(-1, 3)[sticks, :, None] * np.eye(3)
-        of_contact[slides] = data.contact.H[slides, :9].reshape(-1, 3, 3)
-        blocks = jacobian.transpose(0, 2, 1) @ of_contact @ jacobian
-        np.add.at(tangent, (dofs[:, :, None], dofs[:, None, :]), blocks)
-        return tangent
+        state = data.efc_state.reshape(-1, 3)[:, 0]
+        pressing = np.flatnonzero((state == quadratic) | (state == cone))
+        root = np.sqrt(data.efc_D.reshape(-1, 3)[pressing])[:, :, None] * np.eye(3)
+        slides = state[pressing] == cone
+        values, vectors = np.linalg.eigh(data.contact.H[pressing[slides], :9].reshape(-1, 3, 3))
+        root[slides] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
+        return pressing, root
 
     def _line_search(self, slope: float, curvature: float, relative: Floats, along: Floats) -> float:
         """Return where along an increment the cost is least, by its `slope` and `curvature` without the contacts'."""
@@ -376,3 +426,9 @@ class ContactNewton:
             slope_there = slope_at(longest)
         # An increment may end where the first node touches, which can be as near as rounding lets it be.
         return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_there > 0 else longest
+
+
+def _on_dofs(rows: Floats, values: Floats, dofs: Ints, count: int) -> Floats:
+    """Return what rows (c, 3, 6), each times its value (3 c,), add up to on the `dofs` (c, 6) of all, (count,)."""
+    at_dofs = np.einsum("cij,ci->cj", rows, values.reshape(-1, 3))
+    return np.bincount(dofs.ravel(), at_dofs.ravel(), count)

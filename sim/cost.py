@@ -9,22 +9,18 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from gelgap.sim.mesh import mesh_for, touchable, unordered_mesh
+from gelgap.sim.mesh import mesh_for
 from gelgap.sim.problem import QUALITIES, ContactProblem
 from gelgap.sim.steady import solved_problems
 
 # Building mesh, model and elimination plan: seconds of a mesh of 1000 vertices, and the power of their number.
 _BUILD_S, _BUILD_POWER = 0.032, 1.6
-# An iteration: seconds for 1000 vertices that the indenter can touch, and for 10⁹ operations of the elimination.
-_TOUCHABLE_S, _GFLOP_S = 0.41, 0.0155
+# An iteration: seconds for 1000 vertices that the indenter can touch, for their cube, and for 10⁹ operations.
+_TOUCHABLE_S, _DENSE_S, _GFLOP_S = 0.22, 0.6, 0.0125
 # Iterations of a load step straight down, of which the first onto the gel counts as three; of one sideways; and for
 # each cell that it goes.
 _PRESS_ITERATIONS, _DRAG_ITERATIONS, _CELL_ITERATIONS = 5.7, 6.8, 10.0
-# Operations of a mesh of 1000 vertices; they grow with the square. Those of larger meshes, which depend more on their
-# shape, are counted, which takes 2 % of the solve.
-_GFLOP, _COUNTED_THOUSANDS = 0.060, 8.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
 # A way is given up once it has taken this many times its forecast, core seconds, but no fewer than these and no more
@@ -46,7 +42,7 @@ class Work(NamedTuple):
     @property
     def iteration_s(self) -> float:
         """About how many seconds of a core an iteration takes."""
-        return _TOUCHABLE_S * self.touchable + _GFLOP_S * self.gflop
+        return _TOUCHABLE_S * self.touchable + _DENSE_S * self.touchable**3 + _GFLOP_S * self.gflop
 
     @property
     def core_s(self) -> float:
@@ -62,10 +58,16 @@ def expected_core_s(problem: ContactProblem) -> float:
 @lru_cache(maxsize=32)
 def expected_work(problem: ContactProblem) -> Work:
     """Return what the solve of a problem will consist of, if all of its slides are solved to their ends."""
-    mesh = unordered_mesh(problem)
-    thousands, touched = len(mesh.vertices_mm) / 1000, len(touchable(mesh, problem)) / 1000
-    gflop = _GFLOP * thousands**2 if thousands <= _COUNTED_THOUSANDS else _counted_gflop(problem)
-    return Work(thousands, touched, gflop, expected_iterations(problem))
+    # Fronts are compiled code, which a forecast alone loads only here.
+    from gelgap.sim.fronts import elimination_groups
+
+    groups = elimination_groups(problem)
+    own = 3.0 * np.array([len(front.columns) for front in groups])
+    below = 3.0 * np.array([len(front.rows) for front in groups[:-1]]) + 1
+    kept, own = own[-1], own[:-1]
+    gflop = float((own**3 / 3 + own**2 * below + own * below**2).sum()) / 1e9
+    thousands = len(mesh_for(problem).vertices_mm) / 1000
+    return Work(thousands, kept / 3000, gflop, expected_iterations(problem))
 
 
 def expected_iterations(problem: ContactProblem) -> float:
@@ -89,23 +91,6 @@ def most_iterations(problem: ContactProblem) -> int:
     work, longest_s = expected_work(problem), LONGEST_S[problem.quality.name]
     allowed_s = min(max(longest_s, _LONGEST_FORECASTS * work.core_s), _MOST_OF_LONGEST * longest_s)
     return math.ceil(allowed_s / work.iteration_s)
-
-
-def _counted_gflop(problem: ContactProblem) -> float:
-    """Return the operations of all fronts of an elimination, in 10⁹."""
-    from gelgap.sim.fronts import assembly_tree
-
-    mesh = mesh_for(problem)
-    nodes = touchable(mesh, problem)
-    corners, moving = mesh.tetrahedra, len(mesh.vertices_mm) - len(mesh.bottom)
-    # Vertices are numbered in reverse order of elimination, the bonded ones last.
-    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
-    order = order[:, (order >= 0).all(axis=0)]
-    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
-    fronts = assembly_tree(graph, len(nodes))[:-1]
-    own = 3.0 * np.array([len(front.columns) for front in fronts])
-    below = 3.0 * np.array([len(front.rows) for front in fronts]) + 1
-    return float((own**3 / 3 + own**2 * below + own * below**2).sum()) / 1e9
 
 
 def cheaper(problem: ContactProblem) -> dict[str, float]:

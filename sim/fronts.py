@@ -6,6 +6,7 @@ SIAM Rev. 34:82).
 
 import ctypes
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,9 @@ from numba import njit
 from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from scipy import sparse
+
+from gelgap.sim.mesh import mesh_for, touchable
+from gelgap.sim.problem import ContactProblem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,25 +53,21 @@ class Condensation:
         The sparse matrix (n, n), of any values, with both of its triangles.
     first_dof
         The first dof of each vertex (v,) in the order of elimination.
-    kept
-        How many vertices, the last ones, are kept.
+    groups
+        In which the vertices are eliminated; the last one's are kept.
     """
 
-    def __init__(self, pattern: sparse.csr_array, first_dof: Ints, kept: int) -> None:
+    def __init__(self, pattern: sparse.csr_array, first_dof: Ints, groups: "list[Group]") -> None:
         self._size, vertices = pattern.shape[0], len(first_dof)
         position = np.full(self._size, -1)
         position[_dofs(first_dof)] = np.arange(3 * vertices)
         rows = position[np.repeat(np.arange(self._size), np.diff(pattern.indptr))]
         columns = position[pattern.indices]
-        coupled = (rows >= 0) & (columns >= 0) & (rows % 3 == 0) & (columns % 3 == 0)
-        pairs = (rows[coupled] // 3, columns[coupled] // 3)
-        graph = sparse.coo_array((np.ones(coupled.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
-        groups = assembly_tree(graph, kept)
         self._plan = plan = _plan(groups, first_dof, rows, columns)
         self._factor = np.zeros(plan.begin[-1])
         self._updates = np.zeros((plan.update + plan.below**2).max())
         self._solution = np.zeros(self._size)
-        self.kept_dofs = plan.own_dofs[-3 * kept :]
+        self.kept_dofs = plan.own_dofs[-3 * len(groups[-1].columns) :]
 
     def factorise(self, values: Floats, diagonal: Floats) -> Floats:
         """Factorise A and return the lower triangle of the condensed matrix (k, k), with zeros above.
@@ -120,6 +120,18 @@ class _Branch:
     rows: set[int]
     children: list["_Branch"]
     entries: int
+
+
+@lru_cache(maxsize=4)
+def elimination_groups(problem: ContactProblem) -> list[Group]:
+    """Return the groups in which a problem's mesh is eliminated; its vertices are numbered in reverse order of that."""
+    mesh = mesh_for(problem)
+    moving = len(mesh.vertices_mm) - len(mesh.bottom)
+    corners = mesh.tetrahedra
+    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
+    order = order[:, (order >= 0).all(axis=0)]
+    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
+    return assembly_tree(graph, len(touchable(mesh, problem)))
 
 
 def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:

@@ -112,7 +112,6 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
     return ordered_for_elimination(mesh, touchable(mesh, problem))
 
 
-@lru_cache(maxsize=4)
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness = problem.mesh_size, problem.thickness_mm

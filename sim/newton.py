@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
 from gelgap.sim.cost import most_iterations
+from gelgap.sim.fronts import elimination_groups
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
@@ -32,6 +33,9 @@ _LARGEST_GAP_MM = 2e-3
 # by this share of its tolerance. A press at `standard` takes 0.6 to 0.7 of the time, forces to 1e-4.
 _KEPT_TANGENT_RATIO = 0.7
 _KEPT_TANGENT_TOLERANCE = 0.2
+# A load step begins with the tangent of the last iteration if no vertex has moved since by more than this share of the
+# step: after a waypoint, whose state MuJoCo has accepted. A fifth of all tangents are saved so.
+_SAME_TANGENT_SHARE = 0.02
 # An increment by a kept tangent that is longer than this many times the one before is undone, and found anew.
 _LARGEST_KEPT_RATIO = 1.0
 # Where a new tangent shortens the increment no more than that, friction is what settles slowly: the next slow
@@ -123,6 +127,8 @@ class StaticNewton:
         self._contact_newton: ContactNewton | None = None
         # Whether the last iteration was MuJoCo's with the present tangent, and left a factor of it.
         self._accepted = self._factorised = False
+        # Where the last tangent was taken.
+        self._tangent_qpos = np.full(gel.model.nq, np.inf)
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
         """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
@@ -199,7 +205,9 @@ class StaticNewton:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
         self.contacts.begin_load_step(self.slip_mm)
         force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
-        increment_mm, kept_tangent, active = np.inf, False, self.active
+        increment_mm, active = np.inf, self.active
+        from_tangent_mm = float(np.abs(data.qpos - self._tangent_qpos).max())
+        kept_tangent = from_tangent_mm <= _SAME_TANGENT_SHARE * moved_mm
         patience = spare = 0
         correction = np.zeros_like(data.qpos)
         # A step of a small body's size can throw the gel off its edges, though it does not go up.
@@ -267,6 +275,7 @@ class StaticNewton:
         data.qvel[self.gel.indenter_dof] = indenter_step_mm
         kept_tangent &= self._factorised and self._find_contacts()
         if not kept_tangent:
+            self._tangent_qpos = np.array(data.qpos)
             mujoco.mj_fwdPosition(model, data)
         if data.ncon:
             self.contacts.place()
@@ -320,7 +329,9 @@ class StaticNewton:
         if data.ncon > 0 and self._condensed:
             self._set_up_solver()
             try:
-                self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
+                self._contact_newton = self._contact_newton or ContactNewton(
+                    self.gel, data, elimination_groups(self.problem)
+                )
                 self._contact_newton.factorise()
                 acceleration = self._contact_newton.acceleration()
             except np.linalg.LinAlgError:

@@ -23,6 +23,7 @@ COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 def fresh_tangents(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every iteration is MuJoCo's with the tangent of its state."""
     monkeypatch.setattr(newton, "_KEPT_TANGENT_RATIO", 0.0)
+    monkeypatch.setattr(newton, "_SAME_TANGENT_SHARE", -1.0)
     monkeypatch.setattr(newton, "_MOST_PATIENCE", 0)
 
 

@@ -32,6 +32,14 @@ def _first_dof(mesh: GelMesh) -> np.ndarray:
     return FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
 
 
+def _graph(mesh: GelMesh) -> sparse.csr_array:
+    """Return which vertices are coupled, in the order of elimination."""
+    count = len(mesh.vertices_mm)
+    place = count - 1 - mesh.tetrahedra.astype(np.int64)
+    rows, columns = np.repeat(place, 4, axis=1).ravel(), np.tile(place, 4).ravel()
+    return sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+
+
 def _stiffness(mesh: GelMesh, rng: np.random.Generator) -> tuple[sparse.csr_array, np.ndarray]:
     """Return a positive definite matrix with the mesh's couplings, behind dofs that belong to no vertex; a diagonal."""
     dofs = FOREIGN_DOFS + 3 * mesh.tetrahedra[:, :, None] + np.arange(3)
@@ -47,7 +55,7 @@ def _stiffness(mesh: GelMesh, rng: np.random.Generator) -> tuple[sparse.csr_arra
 def test_what_is_condensed_and_expanded_solves_the_whole_equation(mesh: GelMesh) -> None:
     rng = np.random.default_rng(0)
     matrix, diagonal = _stiffness(mesh, rng)
-    condensation = Condensation(matrix, _first_dof(mesh)[::-1], KEPT)
+    condensation = Condensation(matrix, _first_dof(mesh)[::-1], assembly_tree(_graph(mesh), KEPT))
     np.testing.assert_array_equal(np.sort(condensation.kept_dofs), FOREIGN_DOFS + np.arange(3 * KEPT))
     # Twice, with other values, since memory is used again; each time for two right sides.
     for scale in (1.0, 3.0):
@@ -63,7 +71,7 @@ def test_what_is_condensed_and_expanded_solves_the_whole_equation(mesh: GelMesh)
 
 def test_a_matrix_that_is_not_positive_definite_is_refused(mesh: GelMesh) -> None:
     matrix, diagonal = _stiffness(mesh, np.random.default_rng(1))
-    condensation = Condensation(matrix, _first_dof(mesh)[::-1], KEPT)
+    condensation = Condensation(matrix, _first_dof(mesh)[::-1], assembly_tree(_graph(mesh), KEPT))
     diagonal[-1] = -1e6
     with pytest.raises(np.linalg.LinAlgError, match="positive definite"):
         condensation.factorise(matrix.data, diagonal)
@@ -71,7 +79,9 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(mesh: GelMesh) -> Non
 
 def test_what_is_not_finite_leaves_nothing_behind(mesh: GelMesh) -> None:
     matrix, diagonal = _stiffness(mesh, np.random.default_rng(2))
-    spoiled, fresh = (Condensation(matrix, _first_dof(mesh)[::-1], KEPT) for _ in range(2))
+    spoiled, fresh = (
+        Condensation(matrix, _first_dof(mesh)[::-1], assembly_tree(_graph(mesh), KEPT)) for _ in range(2)
+    )
     assert not np.isfinite(spoiled.factorise(matrix.data, diagonal * np.nan)).all()
     spoiled.condense(diagonal * np.nan)
     lower, expected = (one.factorise(matrix.data, diagonal) for one in (spoiled, fresh))
@@ -84,7 +94,8 @@ def test_compiled_code_that_another_process_has_cached_is_right(tmp_path: Path) 
     script = (
         "import numpy as np; from scipy import sparse; from gelgap.sim import fronts\n"
         "matrix = sparse.csr_array(np.full((9, 9), 0.1) + np.eye(9))\n"
-        "condensation = fronts.Condensation(matrix, np.arange(0, 9, 3), 1)\n"
+        "groups = fronts.assembly_tree(sparse.csr_array(np.ones((3, 3))), 1)\n"
+        "condensation = fronts.Condensation(matrix, np.arange(0, 9, 3), groups)\n"
         "lower = condensation.factorise(matrix.data, np.zeros(9))\n"
         "force = condensation.condense(np.arange(9.0))\n"
         "kept = np.linalg.solve(lower + np.tril(lower, -1).T, force)\n"
@@ -102,10 +113,7 @@ def test_compiled_code_that_another_process_has_cached_is_right(tmp_path: Path) 
 
 
 def test_groups_hold_each_vertex_once_and_pass_their_rows_on(mesh: GelMesh) -> None:
-    count = len(mesh.vertices_mm)
-    place = count - 1 - mesh.tetrahedra.astype(np.int64)
-    rows, columns = np.repeat(place, 4, axis=1).ravel(), np.tile(place, 4).ravel()
-    graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    count, graph = len(mesh.vertices_mm), _graph(mesh)
     groups = assembly_tree(graph, KEPT)
     np.testing.assert_array_equal(
         np.sort(np.concatenate([group.columns for group in groups])), np.arange(count)
