@@ -174,8 +174,7 @@ def _of_ball(
 ) -> tuple[Membrane, np.ndarray]:
     """Return the membrane around a ball, by the sensor's habit and rim, and where its mark says it touches."""
     camera, size_px = renderer.sensor.camera, renderer.size_px
-    if renderer.sensor.rim_slope is not None:
-        profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)
+    profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)
     press = located(press, untouched, camera)
     pose, radius_px = start_pose(camera, press, profiles, size_px)
     center_px = press.center_px or camera.project_px(np.array([*pose[:2], -pose[2]]), size_px) - 0.5

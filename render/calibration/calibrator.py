@@ -149,18 +149,17 @@ def calibrate_light(
             fit = others
         elif len(outliers):
             fit = task.fit(np.setdiff1d(everything, outliers))
-    used, drawn = fit.which, []
-    for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
-        other = task.fit(np.delete(used, part))
-        table = other.normal_table()
-        drawn += [_Drawn.of(other, int(press), table) for press in used[part]]
-    share = table_share([press.levels for press in drawn]) if drawn else 0.0
-    held_out = [press.held_out(share) for press in drawn]
+    used = fit.which
+    parts = [used[part] for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds)]
+    blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
+    share, held_out = _predicted(blind, parts)
+    bent_share, bent_held_out = _predicted([other.with_rim() for other in blind], parts)
+    if _predicts_better(bent_held_out, held_out):
+        fit, share, held_out = fit.with_rim(), bent_share, bent_held_out
     if held_out:
         _check_prediction(held_out)
-    lit, volumes = task.lit_sensor(fit), []
-    for k, pose in zip(fit.which, fit.presses, strict=True):
-        volumes.append(fit.placed.profiles[k].volume_mm3(pose[2]))
+    lit, own = task.lit_sensor(fit), [fit.placed.profiles[k] for k in used]
+    volumes = [one.volume_mm3(pose[2]) for one, pose in zip(own, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit.model_copy(update={"table_share": share}),
         maps=task.flat_field(fit, lit),
@@ -372,6 +371,25 @@ class _Drawn:
             refined=seen.scores(press, _mixed(self.refined, share)),
             picture=_mixed(self.marked, share),
         )
+
+
+def _predicted(fits: Sequence[LightFit], parts: Sequence[np.ndarray]) -> tuple[float, list[HeldOut]]:
+    """Return the share of the table that predicts the held-out parts best, each by the fit without it, and how."""
+    drawn = []
+    for fit, part in zip(fits, parts, strict=True):
+        table = fit.normal_table()
+        drawn += [_Drawn.of(fit, int(press), table) for press in part]
+    share = table_share([press.levels for press in drawn]) if drawn else 0.0
+    return share, [press.held_out(share) for press in drawn]
+
+
+def _predicts_better(held_out: Sequence[HeldOut], other: Sequence[HeldOut]) -> bool:
+    """Return whether presses, as marked, are predicted better than otherwise: in a region by more, in none by less."""
+    if not held_out:
+        return False
+    gain = np.median([press.marked for press in held_out], axis=0)
+    gain -= np.median([press.marked for press in other], axis=0)
+    return bool(gain.min() >= 0 and gain.max() > 0)
 
 
 def _mixed(light_and_table: tuple[np.ndarray, np.ndarray], share: float) -> np.ndarray:

@@ -481,20 +481,15 @@ def test_a_blurring_camera_sees_a_blurred_dent(pictures):
     assert np.abs(seen - sharp).max() > 0.02
 
 
-def test_the_slope_at_a_sensors_rim_is_found_and_predicts(pictures):
-    start, _, _ = pictures
-    solved = profiles(None, None)[3.0]
+def test_the_slope_at_a_sensors_rim_is_found_unless_presses_are_few(pictures):
+    start, solved = pictures[0], profiles(None, None)[3.0]
     bent = replace(solved, rim_slope=tuple(np.interp(RIM_RADII, (0.7, 0.9, 1.1), (0, -0.3, 0))))
-    radius_mm, away = 0.02 * np.arange(200), np.s_[60:90]
-    (z, slope), (_, without) = bent.at(0.6), solved.at(0.6)
-    added = np.interp(radius_mm / bent.contact_radius_mm(0.6), RIM_RADII, bent.rim_slope)
-    assert np.allclose((slope - without)[:200], added, atol=0.02)
-    assert np.allclose(np.gradient(z, 0.02)[away], slope[away], atol=0.05)
     renderer = MembraneRenderer(start, start.illumination, SIZE_PX)
-    shots = [renderer.picture(*bent.membrane(point, 0.6, (7.0, 6.0))) for point in POINTS]
-    presses = pressed(shots, depth_mm=0.6)
-    placed = place_presses(start.camera, renderer.reference(), presses, {3.0: solved})
-    fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(len(POINTS)))
-    found = np.array(fit.placed.profiles[0].rim_slope)
+    shots = [renderer.picture(*bent.membrane(point, 0.6, (7.0, 6.0))) for point in POINTS[:5]]
+    placed = place_presses(start.camera, renderer.reference(), pressed(shots, depth_mm=0.6), {3.0: solved})
+    fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5))
+    found = np.array(fit.with_rim().placed.profiles[0].rim_slope)
     assert abs(found - bent.rim_slope)[1:-3].max() < 0.15
     assert found.min() < -0.15
+    fit.which = fit.which[:4]
+    assert fit.with_rim() is fit
