@@ -13,6 +13,7 @@ from gelgap.domains.calibration_presses import lit_from_dents
 from gelgap.render.calibration.calibrator import (
     LightTask,
     _at_limits,
+    _predicts_better,
     _suspects,
     calibrate_light,
     held_out_parts,
@@ -493,3 +494,12 @@ def test_the_slope_at_a_sensors_rim_is_found_unless_presses_are_few(pictures):
     assert found.min() < -0.15
     fit.which = fit.which[:4]
     assert fit.with_rim() is fit
+
+
+def test_a_slope_at_the_rim_is_kept_if_it_gains_more_than_it_costs():
+    def drawn(inside_db, around_db):
+        return [SimpleNamespace(levels=[(inside_db, around_db)] * 5)]
+
+    assert _predicts_better(drawn(31.0, 29.9), drawn(30.0, 30.0))
+    assert not _predicts_better(drawn(31.0, 29.7), drawn(30.0, 30.0))
+    assert not _predicts_better(drawn(30.0, 30.0), drawn(30.0, 30.0))
