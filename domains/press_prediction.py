@@ -5,7 +5,7 @@ place of a contact that is not marked.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -172,8 +172,9 @@ def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
 def _of_ball(
     renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
 ) -> tuple[Membrane, np.ndarray]:
-    """Return the membrane around a ball, moved by the marks' habit, and where its mark says that it touches (h, w)."""
+    """Return the membrane around a ball, by the sensor's habit and rim, and where its mark says it touches."""
     camera, size_px = renderer.sensor.camera, renderer.size_px
+    profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)
     press = located(press, untouched, camera)
     pose, radius_px = start_pose(camera, press, profiles, size_px)
     center_px = press.center_px or camera.project_px(np.array([*pose[:2], -pose[2]]), size_px) - 0.5

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -197,6 +198,10 @@ def marker_rest_mm(markers: Markers) -> np.ndarray:
     return positions
 
 
+# What a fit leaves in a sensor: absent from files and hashes where there is none.
+_of_fit = partial(Field, default=None, exclude_if=lambda value: value is None, repr=False)
+
+
 def _preset_or_own(value: Any) -> Any:
     """Return the markers of a preset's name, so that a sensor's file and a factor of a sweep may name one."""
     return Markers.preset(value) if isinstance(value, str) else value
@@ -221,17 +226,15 @@ class Sensor(PresetSettings):
         exclude_if=lambda value: value is None,
         description="what the real reference shows beyond the model",
     )
-    marks_off: tuple[_Row, _Row, _Row, _Row] | None = Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        repr=False,
+    marks_off: tuple[_Row, _Row, _Row, _Row] | None = _of_fit(
         description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
     )
-
-    normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        repr=False,
+    rim_slope: tuple[_Share, ...] | None = _of_fit(
+        min_length=16,
+        max_length=16,
+        description="by how much balls' dents are steeper than solved ones, at distances of 0 to 2.6 contact radii",
+    )
+    normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = _of_fit(
         min_length=27,
         max_length=27,
         description="change in code values by the membrane's normal and place, as measured on the untouched sensor",

@@ -35,6 +35,8 @@ _SAME_PLACE = 0.1
 _FEWEST_FITTED = 3
 # Shares of the table of normals that are tried, from the fitted light alone to the table alone.
 TABLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+# A slope at the rim that gains in one region may cost a held-out press this much in the other.
+_MOST_LOST_DB = 0.2
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
 
@@ -149,18 +151,18 @@ def calibrate_light(
             fit = others
         elif len(outliers):
             fit = task.fit(np.setdiff1d(everything, outliers))
-    used, drawn = fit.which, []
-    for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
-        other = task.fit(np.delete(used, part))
-        table = other.normal_table()
-        drawn += [_Drawn.of(other, int(press), table) for press in used[part]]
+    used = fit.which
+    parts = [used[part] for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds)]
+    blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
+    drawn, bent = _drawn(blind, parts), [other.with_rim() for other in blind]
+    if bent != blind and _predicts_better(with_rim := _drawn(bent, parts), drawn):
+        fit, drawn = fit.with_rim(), with_rim
     share = table_share([press.levels for press in drawn]) if drawn else 0.0
     held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
-    lit, volumes = task.lit_sensor(fit), []
-    for k, pose in zip(fit.which, fit.presses, strict=True):
-        volumes.append(placed.profiles[k].volume_mm3(pose[2]))
+    lit, own = task.lit_sensor(fit), [fit.placed.profiles[k] for k in used]
+    volumes = [one.volume_mm3(pose[2]) for one, pose in zip(own, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit.model_copy(update={"table_share": share}),
         maps=task.flat_field(fit, lit),
@@ -310,6 +312,7 @@ class LightTask:
             "illumination": illumination,
             "flat_field": None,
             "marks_off": self._marks_off(fit),
+            "rim_slope": fit.placed.profiles[0].rim_slope,
             "normal_table": tuple(map(tuple, fit.normal_table().coefficients.tolist())),
         }
         return self.sensor.model_copy(update=update)
@@ -335,42 +338,57 @@ class LightTask:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A press that the fit has not seen as light and table draw it, uint8 (h, w, 3) each: as marked, and refined."""
+    """A press that a fit has not seen, as its light and its table draw it, uint8 (h, w, 3) each."""
 
-    placed: PlacedPresses
+    fit: LightFit
     press: int
-    marked: tuple[np.ndarray, np.ndarray]
-    refined: tuple[np.ndarray, np.ndarray]
+    table: NormalTable
 
-    @classmethod
-    def of(cls, fit: LightFit, press: int, table: NormalTable) -> "_Drawn":
-        """Draw a press by a fit and its table of normals."""
-        seen = fit.placed
+    def _at(self, pose_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seen, press = self.fit.placed, self.press
         reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * seen.mark_mm[press])  # it may be off its mark
+        plain = self.table.picture(seen.clean_reference, seen.normals(press, pose_mm), seen.camera)
+        lit = seen.picture_of(self.fit.light, self.fit.field, press, pose_mm, reach_mm)
+        return lit, seen.at_level(press, plain)
 
-        def drawn(pose_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            plain = table.picture(seen.clean_reference, seen.normals(press, pose_mm), seen.camera)
-            lit = seen.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
-            return lit, seen.at_level(press, plain)
-
-        return cls(seen, press, drawn(fit.expected_mm(press)), drawn(fit.refined(press).presses[0]))
+    @cached_property
+    def marked(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._at(self.fit.expected_mm(self.press))
 
     @cached_property
     def levels(self) -> list[tuple[float, float]]:
         """The scores as marked, for each of `TABLE_SHARES`, of which the last is the table alone."""
-        return [self.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
+        return [self.fit.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
 
     def held_out(self, share: float) -> HeldOut:
         """Return how the press is predicted with a share of the table."""
-        seen, press = self.placed, self.press
+        seen, press = self.fit.placed, self.press
+        refined = self._at(self.fit.refined(press).presses[0])
         return HeldOut(
             seen.names[press],
             unchanged=seen.scores(press, seen.reference),
             table=self.levels[-1],
             marked=self.levels[TABLE_SHARES.index(share)],
-            refined=seen.scores(press, _mixed(self.refined, share)),
+            refined=seen.scores(press, _mixed(refined, share)),
             picture=_mixed(self.marked, share),
         )
+
+
+def _drawn(fits: Sequence[LightFit], parts: Sequence[np.ndarray]) -> list[_Drawn]:
+    """Return the presses of each part as the fit without it draws them."""
+    tables = [fit.normal_table() for fit in fits]
+    own = zip(fits, parts, tables, strict=True)
+    return [_Drawn(fit, int(press), table) for fit, part, table in own for press in part]
+
+
+def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn]) -> bool:
+    """Return whether the sum of the median PSNRs, inside and around, is larger, and neither much smaller."""
+    scores = []
+    for presses in (drawn, other):
+        levels = [press.levels for press in presses]
+        scores.append(np.median(levels, axis=0)[TABLE_SHARES.index(table_share(levels))])
+    gain_db = scores[0] - scores[1]
+    return bool(gain_db.sum() > 0 and gain_db.min() > -_MOST_LOST_DB)
 
 
 def _mixed(light_and_table: tuple[np.ndarray, np.ndarray], share: float) -> np.ndarray:

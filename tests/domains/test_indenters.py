@@ -74,7 +74,7 @@ def test_one_indenter_is_configured_as_before() -> None:
     (several,) = make_recipes(["mb0i0"], PATH, indenter=Sphere(), further_indenters=(Cone(),))
     assert several.frames == 2 * recipe.frames
     assert type(several)(**several.configuration()).key == several.key
-    fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4})
+    fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4, "rim_slope": (0.1,) * 16})
     assert recipe.model_copy(update={"sensor": fitted}).key == recipe.key
     tabled = fitted.model_copy(update={"normal_table": ((1.0, 0.0, 0.0),) * 27})
     assert recipe.model_copy(update={"sensor": tabled}).key == recipe.key

@@ -13,6 +13,7 @@ from gelgap.domains.calibration_presses import lit_from_dents
 from gelgap.render.calibration.calibrator import (
     LightTask,
     _at_limits,
+    _predicts_better,
     _suspects,
     calibrate_light,
     held_out_parts,
@@ -22,7 +23,7 @@ from gelgap.render.calibration.calibrator import (
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.pictures import PressPicture
 from gelgap.render.calibration.poses import place_presses
-from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
+from gelgap.render.calibration.profiles import RIM_RADII, PressProfiles, SolvedPress
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.imaging import srgb_decode, srgb_encode
@@ -479,3 +480,26 @@ def test_a_blurring_camera_sees_a_blurred_dent(pictures):
     sigma_cells = 8 / 320 * 12 / 0.1
     np.testing.assert_allclose(seen, gaussian_filter(sharp, sigma_cells), atol=0.004)
     assert np.abs(seen - sharp).max() > 0.02
+
+
+def test_the_slope_at_a_sensors_rim_is_found_unless_presses_are_few(pictures):
+    start, solved = pictures[0], profiles(None, None)[3.0]
+    bent = replace(solved, rim_slope=tuple(np.interp(RIM_RADII, (0.7, 0.9, 1.1), (0, -0.3, 0))))
+    renderer = MembraneRenderer(start, start.illumination, SIZE_PX)
+    shots = [renderer.picture(*bent.membrane(point, 0.6, (7.0, 6.0))) for point in POINTS[:5]]
+    placed = place_presses(start.camera, renderer.reference(), pressed(shots, depth_mm=0.6), {3.0: solved})
+    fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5))
+    found = np.array(fit.with_rim().placed.profiles[0].rim_slope)
+    assert abs(found - bent.rim_slope)[1:-3].max() < 0.15
+    assert found.min() < -0.15
+    fit.which = fit.which[:4]
+    assert fit.with_rim() is fit
+
+
+def test_a_slope_at_the_rim_is_kept_if_it_gains_more_than_it_costs():
+    def drawn(inside_db, around_db):
+        return [SimpleNamespace(levels=[(inside_db, around_db)] * 5)]
+
+    assert _predicts_better(drawn(31.0, 29.9), drawn(30.0, 30.0))
+    assert not _predicts_better(drawn(31.0, 29.7), drawn(30.0, 30.0))
+    assert not _predicts_better(drawn(30.0, 30.0), drawn(30.0, 30.0))
