@@ -254,8 +254,8 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
         )
     if bare := [recipe.name for recipe in (source, target) if _shown_markers(recipe) is None]:
         notes.append(
-            f"no markers on {' and '.join(bare)}: shear is seen only in how the dent and its shading lean, not in a "
-            "displacement field"
+            f"no markers on {' and '.join(bare)}: a single picture shows shear only in how the dent and its shading "
+            "lean; how far the dent has moved is seen from first touch on (input touch, needs trajectories)"
         )
     if target.acquisition.force_bias_n:
         bias = ", ".join(f"{value:.2g}" for value in target.drawn_errors().force_bias_n)

@@ -70,6 +70,7 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",
     r"gelgap (generate .*--lights-like|adapt --source random)": "needs a picture; tests/cli has one",
+    r"gelgap (generate .*--path drags|(adapt|predict) .*recorded)": "minutes; tests/adapt/test_first_touch.py runs it",
     r"gelgap generate .* --workers tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap predict tuned.pt (--camera|p\w+)": "needs pictures or a camera; tests/adapt/test_own_backbone.py runs it",

@@ -1,6 +1,6 @@
 """Dents around the place where their contact began: without markers, how far a dent has moved is what tells shear.
 
-In another light R² of shear of single drags is 0.90 to 0.98, where single pictures by losses have 0.2 in the mean
+In another light R² of shear of single drags is 0.85 to 0.98, where single pictures by losses have 0.2 in the mean
 (docs/results/README.md).
 """
 
@@ -32,6 +32,10 @@ def trajectory_of(frames: LabelledFrames) -> np.ndarray:
             raise ValueError(
                 f"data set {frames.name} has no column {name}: the input touch and sequence_length above 1 need "
                 f"{TRAJECTORY} and {STEP} of each frame"
+            )
+        if unknown := int((frames.columns[name] < 0).sum()):
+            raise ValueError(
+                f"data set {frames.name} lacks {name} in {unknown} of {len(frames)} rows; give all or none"
             )
     keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY]], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1]
@@ -65,7 +69,8 @@ def dents_from_touch(frames: LabelledFrames, size_px: tuple[int, int]) -> np.nda
     if 2 * late > len(followed):
         LOG.warning(
             f"input touch: {frames.name}: {late} of {len(followed)} contacts begin with a dent that is hardly smaller "
-            "than it becomes, so that they may have been dragged before; record them from a light touch on"
+            "than it becomes, so that they may have been dragged before: begin each with a picture of a straight touch "
+            "at most 0.2 mm deep, and leave out those that have none"
         )
     return shown
 

@@ -29,7 +29,12 @@ NUMBERS = {
     "depth_mm": ("depth",),
     "time_s": ("times", "time stamps", "ts", "time stamp", "time", "stamp", "t"),
 }
-WHOLE_NUMBERS = {"contact_class": ("contact class", "class", "label"), "point_id": ("point id", "point")}
+WHOLE_NUMBERS = {
+    "contact_class": ("contact class", "class", "label"),
+    "point_id": ("point id", "point"),
+    "trajectory_id": ("trajectory id", "trajectory"),
+    "step": ("step",),
+}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
 PICTURE_NAMES = (
     "image",

@@ -100,7 +100,8 @@ def test_adaptation_says_what_no_picture_of_its_gap_shows():
     modulus, friction, markers = unseen_differences(source, other)
     assert "modulus 0.7 and 0.15 MPa: the same dent takes × 0.214 the force on own" in modulus
     assert "friction 0.24 and 0.5" in friction
-    assert "no markers on own" in markers
+    assert "no markers on own: a single picture shows" in markers
+    assert "from first touch on" in markers
     thick = gel.model_copy(update={"thickness_mm": 4.0})
     assert any(
         "thickness 3 and 4 mm" in n

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gelgap.domains import ArrayFrames, Labels, join_domains, open_domain, verify_domain, with_labels
+from gelgap.domains.frames.first_touch import trajectory_of
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
 from gelgap.domains.frames.run_labels import force_classes, labels_of_run
@@ -86,6 +87,16 @@ def test_points_of_no_row_are_left_out_and_a_missing_one_is_unknown(tmp_path: Pa
     assert "point_id" not in open_domain(unnumbered).columns
     in_part = folder_of(tmp_path / "some", [{"fz_n": -1.0, "point_id": 3}, {"fz_n": -1.0, "point_id": ""}])
     assert open_domain(in_part).point_id.tolist() == [3, -1]
+
+
+def test_trajectories_of_a_table_are_read_and_known_of_every_row_or_refused(tmp_path):
+    rows = [{"fz_n": -1.0, "trajectory": 4, "step": step} for step in (1, 0)]
+    frames = open_domain(folder_of(tmp_path / "all", rows))
+    assert trajectory_of(frames).tolist() == [0, 0]
+    assert frames.columns["step"].tolist() == [1, 0]
+    in_part = open_domain(folder_of(tmp_path / "some", [*rows, {"fz_n": -1.0, "trajectory": "", "step": 0}]))
+    with pytest.raises(ValueError, match="data set some lacks trajectory_id in 1 of 3 rows"):
+        trajectory_of(in_part)
 
 
 @pytest.mark.parametrize("empty", ["", "n/a", "-"])
