@@ -220,7 +220,7 @@ class Found:
     ) -> None:
         import torch
 
-        kept, key = _FIELDS.setdefault(frames, {}), (shown.about, size_px, span_mm)
+        kept, key = _FIELDS.setdefault(frames, {}), (shown.find, size_px, span_mm)
         if key not in kept:
             kept[key] = shown.find(frames, size_px, span_mm)
         self._fields = torch.from_numpy(kept[key]).to(device)

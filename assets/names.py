@@ -7,7 +7,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 LONGEST_QUOTED = 80
 _MOST_LISTED = 12
-_PROSE = ("description", "known", "assumed")
+_PROSE = {"description", "known", "assumed"}
 
 
 def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "known") -> str:
@@ -68,11 +68,11 @@ def stays_inside(name: str) -> bool:
 
 def one_line(self: object) -> str:
     """Return the public attributes of an object in a line, as its `__repr__`: of large ones what they are."""
-    told = [
-        f"{name}={_brief(value)}"
-        for name, value in vars(self).items()
-        if not name.startswith("_") and name not in _PROSE
-    ]
+    # Fields of models and dataclasses say by `repr=False` that they are not shown.
+    fields = getattr(type(self), "model_fields", None) or getattr(type(self), "__dataclass_fields__", {})
+    silent = _PROSE | {name for name, field in fields.items() if not field.repr}
+    shown = {name: value for name, value in vars(self).items() if name[0] != "_" and name not in silent}
+    told = [f"{name}={_brief(value)}" for name, value in shown.items()]
     return f"{type(self).__name__}({', '.join(told)})"
 
 

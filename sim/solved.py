@@ -27,8 +27,8 @@ from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
 from gelgap.sim.traction import Slip, Stand, Traction, balanced_traction, slip_between
 
-# Beside an edge that presses, vertices bear the load in turn; recesses are filled by what those along so many points of
-# the grid, half a millimetre, bear together.
+# Vertices beside a pressing edge share its load unevenly. The pressure that fills recesses is therefore averaged over
+# this many points of the grid, which is half a millimetre.
 _SHARED_POINTS = 5
 
 

@@ -188,7 +188,7 @@ def test_markers_that_cannot_be_are_refused(values, message):
 )
 def test_objects_are_shown_in_one_line(shown):
     for text in (repr(shown), str(shown)):
-        assert len(text) < 280
+        assert len(text) < 260
         assert "\n" not in text
         assert "array" not in text
 
