@@ -20,6 +20,7 @@ from gelgap.sim.indenter import Floats, Indenter, Projection, Symmetry, rotation
 LARGEST_TILT_DEG = 15.0
 # Where a body is cut is sampled in this many directions, each halved this many times.
 _OUTLINE_DIRECTIONS = 96
+_WIDTH_DIRECTIONS = 90
 _OUTLINE_HALVINGS = 26
 _STEPS_ALONG_PROFILE = 2000
 _FAR_BELOW_MM = 1e4
@@ -187,6 +188,12 @@ class Shape(Indenter):
         outline = _outline_mm(self, depth_mm)
         (x_min, y_min), (x_max, y_max) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
         return x_min, x_max, y_min, y_max
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        outline = _outline_mm(self, depth_mm)
+        angle = np.linspace(0, np.pi, _WIDTH_DIRECTIONS, endpoint=False)
+        widths = np.ptp(outline @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
+        return float(widths.min()) / 2
 
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Follow the underside below a line through the middle of the cut: the turn of its normal over each step."""

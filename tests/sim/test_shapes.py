@@ -1,5 +1,6 @@
 """Shapes: signed distances, cuts and turns of each, meshes from files, and what is pressed is what was asked for."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 import trimesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
 
 from gelgap.sim import (
     Box,
@@ -31,6 +34,10 @@ from gelgap.sim.shapes import AnyIndenter
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 ALONE = Sharing(cache=False)
+THICK_GEL = Elastomer(
+    young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5, thickness_mm=12.0, pad_size_mm=(40.0, 40.0)
+)
+LONG = Ellipsoid(diameters_mm=(12.0, 2.2, 6.0), yaw_deg=33.0)
 TETRAHEDRON = ((0.0, 0.0, 0.0), (3.0, 0.0, 3.0), (-2.0, 2.0, 3.0), (-2.0, -2.0, 3.0))
 BODIES = (
     Cylinder(edge_radius_mm=0.3),
@@ -269,3 +276,36 @@ def test_a_flat_that_is_wider_than_the_pad_presses_all_of_it(friction: float, fo
         plan_visit(
             gel.model_copy(update={"poisson_ratio": 0.495}), Box(size_mm=(20, 20)), (Pose(depth_mm=0.1),)
         )
+
+
+def test_a_long_contact_that_lies_across_the_mesh_has_cells_for_its_own_width() -> None:
+    problem = plan_visit(THICK_GEL, LONG, (Pose(0.06, point_x_mm=3.0),), "draft").solves[0].problem
+    assert problem.is_oblique
+    assert problem.meshed_radius_mm == pytest.approx(
+        LONG.turned((0, 0, -33)).contact_radius_mm(0.06), rel=0.01
+    )
+    assert problem.cell_mm < problem.meshed_radius_mm < 0.5 * min(problem.half_cut_mm)
+
+
+@pytest.mark.slow
+def test_a_long_contact_that_lies_across_the_mesh_has_the_force_of_hertz() -> None:
+    depths_mm = (0.0075, 0.015, 0.03, 0.06)
+    poses = [Pose(depth_mm, point_x_mm=3.0, trajectory=0) for depth_mm in depths_mm]
+    states = solve_poses(THICK_GEL, LONG, poses, quality="draft", sharing=ALONE)
+    modulus_mpa = THICK_GEL.young_modulus_mpa / (1 - THICK_GEL.poisson_ratio**2)
+    force_n = [hertz_force_n(1.1**2 / 3, 6.0**2 / 3, modulus_mpa, depth_mm) for depth_mm in depths_mm]
+    for state, expected_n in zip(states, force_n, strict=True):
+        assert -state.force_n[2] == pytest.approx(expected_n, rel=0.1)
+        assert -state.force_n[2] == pytest.approx(expected_n, abs=3 * state.diagnostics.fz_error_n)
+
+
+def hertz_force_n(narrow_mm: float, long_mm: float, modulus_mpa: float, depth_mm: float) -> float:
+    """By two radii of curvature and the plane-strain modulus (Johnson 1985, eq. 4.26 to 4.32, with m = e²)."""
+    ratio = long_mm / narrow_mm
+
+    def unequal(m: float) -> float:
+        return (ellipe(m) / (1 - m) - ellipk(m)) / (ellipk(m) - ellipe(m)) - ratio
+
+    m = brentq(unequal, 1e-6, 1 - 1e-12)
+    half_length_mm = math.sqrt(2 * long_mm * depth_mm * (ellipk(m) - ellipe(m)) / (m * ellipk(m)))
+    return 2 / 3 * math.pi * half_length_mm * depth_mm * modulus_mpa / ellipk(m)
