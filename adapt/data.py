@@ -4,7 +4,7 @@ Every random draw depends on a key alone (the seed, what it is for, and the epoc
 sees what it would have seen.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -28,6 +28,8 @@ _TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
 FRAMES_SHOWN = 400
+LEAST_SPAN = 0.5
+"""Of the view's width and height that the input markers shows without a note."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,8 @@ def split_for_training(
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
+    And, where markers are shown, one for each domain of whose view the profile's span is less than half.
+
     Raises
     ------
     ValueError
@@ -150,12 +154,26 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         frames.references_at(profile.image_size_px)
     (width, height), (w1, h1) = profile.image_size_px, target.size_px
     sizes = [(frames.name, *frames.size_px) for frames in source.members]
-    return tuple(
+    notes = [
         f"pictures of {name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px one is "
         "squeezed more than the other; crop them to one aspect"
         for name, w0, h0 in sizes
         if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
-    )
+    ]
+    if profile.input == "markers":
+        notes += [note for frames in (*source.members, target) for note in _span_notes(frames, profile)]
+    return tuple(notes)
+
+
+def _span_notes(frames: LabelledFrames, profile: Profile) -> Iterator[str]:
+    if (camera := frames.cameras[0]) is None:
+        return
+    span_mm, view_mm = profile.marker_span_mm, camera.footprint_mm(frames.size_px)
+    if min(np.divide(span_mm, view_mm)) < LEAST_SPAN:
+        yield (
+            f"input markers shows {span_mm[0]:g}×{span_mm[1]:g} mm of {frames.name} (marker_span_mm), whose pictures "
+            f"show {view_mm[0]:.1f}×{view_mm[1]:.1f} mm: what moves beyond is not seen"
+        )
 
 
 class Draw(IntEnum):

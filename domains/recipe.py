@@ -316,6 +316,14 @@ def make_recipes(
     check_named_once(domain.name for domain in parsed)
     path = load_path(path) if isinstance(path, str) else path
     sensor = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
+    others = [domain for domain in parsed if domain.illumination != OWN_LIGHT]
+    if sensor.illumination is not None and "illumination" not in settings and others:
+        LOG.warning(
+            "%s: lit by the illumination preset in the name, not by the LEDs of sensor %s itself: those light %s",
+            comma_list([domain.name for domain in others]),
+            sensor.name,
+            replace(others[0], illumination=OWN_LIGHT),
+        )
     recipes = []
     for domain in parsed:
         fields: dict[str, Any] = {

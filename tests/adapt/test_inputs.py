@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
-from gelgap.adapt.data import network_inputs
+from gelgap.adapt.data import network_inputs, size_notes
 from gelgap.adapt.inputs import INPUTS, Found, InputMap
 from gelgap.domains import ArrayFrames
 from gelgap.render import Camera
@@ -53,6 +53,21 @@ def test_the_calibrated_channels_are_the_slopes():
     # The wall that faces +x is positive in the first channel, whatever its colour is; so is +y in the second.
     assert (pictures[0, 0] * right).sum() > 5 * abs((pictures[0, 1] * right).sum())
     assert (pictures[0, 1] * below).sum() > 5 * abs((pictures[0, 0] * below).sum())
+
+
+def test_a_small_part_of_the_view_is_noted_where_markers_are_shown():
+    near, far = (
+        ArrayFrames(
+            name, np.zeros((2, 48, 64, 3), np.uint8), np.zeros((48, 64, 3), np.uint8), None, camera=camera
+        )
+        for name, camera in (("near", Camera()), ("far", Camera.showing(40.0)))
+    )
+    profile = Profile.preset("smoke").replace(image_size_px=(64, 48))
+    assert size_notes(near, far, profile) == ()
+    markers = profile.replace(input="markers", colour_mixing=0.0)
+    (note,) = size_notes(near, far, markers)
+    assert "12×9 mm of far (marker_span_mm), whose pictures show 40.0×30.0 mm" in note
+    assert size_notes(near, far, markers.replace(marker_span_mm=(36.0, 27.0))) == ()
 
 
 def test_channels_of_each_input():

@@ -39,6 +39,16 @@ def test_own_is_the_light_of_the_sensors_own_file():
     assert own_recipe("lit", "smoke", base="mb0own", illumination=recipe.illumination).markers
 
 
+def test_a_preset_light_on_a_sensor_with_leds_of_its_own_is_noted(caplog: pytest.LogCaptureFixture):
+    make_recipes(["wmb1own"], "smoke", sensor="digit-like")
+    make_recipes(["wmb1i0"], "smoke")
+    assert caplog.text == ""
+    make_recipes(["wmb1own", "wmb1i0"], "smoke", sensor="digit-like")
+    (said,) = caplog.messages
+    assert said.startswith("wmb1i0: lit by the illumination preset")
+    assert said.endswith("the LEDs of sensor digit-like itself: those light wmb1own")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
