@@ -27,7 +27,7 @@ class Profile(PresetSettings):
     name: str = "custom"
     """name under which results are filed"""
     backbone: str = "resnet18"
-    """feature extractor: resnet18, resnet50, or your own as file.py:make_backbone, beside the profile's file"""
+    """feature extractor: resnet18, resnet50, or your own as file.py:make_backbone (in a file, beside it)"""
     # With fewer than 8 channels, oneDNN's strided 1×1 convolutions (torch 2.13) write past their buffer on AVX2.
     width: float = Field(default=1.0, ge=0.125, le=2)
     """factor on the number of channels (64, 128, 256, 512) of the backbone's layers"""

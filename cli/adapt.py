@@ -73,9 +73,8 @@ class Adapt(opt.Command):
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
     profile: tuple[opt.ProfileName, ...] = ("smoke",)
     set: Set = ()
-    """Values that differ from the profile's, such as input=calibrated or split_by=clip; all keys are listed above."""
-    backbone: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
-    """The feature extractor: resnet18, resnet50, or your own as file.py:make_backbone."""
+    """Values that differ from the profile's, such as input=calibrated or backbone=resnet50; all keys are listed above.
+    The file of a backbone of your own is run."""
     labels: Annotated[
         tuple[str, ...] | None, opt.optional("NAME ...", "the axes of the force that both domains have")
     ] = None
@@ -105,8 +104,8 @@ class Adapt(opt.Command):
     def run(self, started: float) -> None:
         """Train, adapt, print a table for each target, with a line per method and profile."""
         changes = given(self.set, self.keys())["profile"]
-        if self.backbone is not None:
-            changes["backbone"] = adapt.use_backbone(self.backbone)
+        if "backbone" in changes:
+            changes["backbone"] = adapt.use_backbone(str(changes["backbone"]))
         profiles = [opt.named(adapt.Profile, name).replace(**changes) for name in self.profile]
         with shown_progress() as progress:
             runs = adapt.adapt_folders(

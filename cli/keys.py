@@ -44,10 +44,10 @@ def body_keys() -> Meanings:
 
 
 def profile_keys() -> Meanings:
-    """Return the keys of a training profile; its network has an option of its own."""
+    """Return the keys of a training profile."""
     from gelgap.adapt import Profile
 
-    left_out = ("name", "backbone", "settings")
+    left_out = ("name", "settings")
     fields = Profile.model_fields.items()
     return {name: field.description for name, field in fields if name not in left_out}
 

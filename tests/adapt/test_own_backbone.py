@@ -91,7 +91,7 @@ def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_fi
         'base = "smoke"\nsource_epochs = 1\nimage_size_px = [40, 32]\n'
     )
     given = ["--target", "real", "--method", "source-only", "--profile", "short.toml", "--out", "runs"]
-    main(["adapt", "--source", "real", *given, "--backbone", "net.py:maps"])
+    main(["adapt", "--source", "real", *given, "--set", "backbone=net.py:maps"])
     (record,) = Path("runs").glob("*/run.json")
     assert json.loads(record.read_text())["profile"]["backbone"] == use_backbone("net.py:maps")
     model = str(record.with_name("model.pt"))
