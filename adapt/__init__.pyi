@@ -1,6 +1,5 @@
 from .data import split_for_training as split_for_training
 from .evaluation import evaluate as evaluate
-from .evaluation import gap_closed as gap_closed
 from .few_labels import affine_correction as affine_correction
 from .few_labels import draw_labelled as draw_labelled
 from .few_labels import fine_tune as fine_tune

@@ -323,12 +323,3 @@ def _force_along(
         depths_mm, sorted_n = -known[order, 0], force_n[order]
         return np.stack([np.interp(-actual_mm[:, 2], depths_mm, axis) for axis in sorted_n.T], axis=1)
     return RBFInterpolator(known, force_n)(place(actual_mm))
-
-
-def gap_closed(source_only_n: float, adapted_n: float, supervised_n: float) -> float:
-    """Return the share of the gap from source-only to supervised error that a method closes; not capped.
-
-    NaN where supervised training is no better than source-only.
-    """
-    gap = source_only_n - supervised_n
-    return (source_only_n - adapted_n) / gap if gap > 0 else float("nan")

@@ -6,7 +6,6 @@ import pytest
 from gelgap.adapt.evaluation import (
     Presses,
     evaluate_predictions,
-    gap_closed,
     geometry_oracle,
     pose_oracle,
     worse_than_constant,
@@ -81,12 +80,6 @@ def test_pose_oracle_of_frames_is_the_force_scale(source):
     assert result.mae_n[2] == pytest.approx(0.1 / 1.1 * np.abs(shuffled.force_n[:, 2]).mean(), rel=1e-3)
     with pytest.raises(ValueError, match="share no contact"):
         pose_oracle(source, labelled(source.force_n, source.contact_class, source.point_id + 100))
-
-
-def test_gap_closed_is_not_capped():
-    assert gap_closed(0.4, 0.2, 0.1) == pytest.approx(2 / 3)
-    assert gap_closed(0.4, 0.05, 0.1) > 1
-    assert np.isnan(gap_closed(0.1, 0.2, 0.2))
 
 
 def test_adaptation_says_what_no_picture_of_its_gap_shows():
