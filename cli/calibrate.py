@@ -30,6 +30,8 @@ HELD_OUT = {
 ASSUMED = (
     "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
 )
+FOLDS = 3
+"""Of the cross-validation: presses of each are predicted by a fit without them."""
 DIFFERENCE_GAIN = 4
 # Contacts in balls' diameters: 0.62 to 0.9 in the published sets; 0.33 to 0.53 with a ball or scale off by two.
 LEAST_CONTACT = 0.55
@@ -94,8 +96,6 @@ class Calibrate(opt.Command):
     """How much of the gel a pixel shows. Left out, as the list says; of taxim 0.0295, as it says."""
     ball_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The ball's diameter in all presses, whatever the list or the package says; a folder needs it."""
-    held_out_parts: Annotated[int, opt.between(0, 24)] = 3
-    """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
     predict: opt.Flag = False
     """Fit nothing: draw the presses with --sensor, a fit, and compare them with their pictures, if they have any."""
     quality: opt.Quality = "draft"
@@ -110,8 +110,6 @@ class Calibrate(opt.Command):
         if self.predict:
             self._predict()
             return
-        if self.held_out_parts == 1:
-            raise ValueError("held_out_parts = 1: must be 0, or 2 to 24")
         sensor, reference, presses = self._inputs()
         if sensor.illumination is None:
             check_presses(reference, presses)
@@ -123,7 +121,7 @@ class Calibrate(opt.Command):
             reference,
             presses,
             lambda diameters, deepest: sphere_profiles(diameters, deepest, self.quality),
-            folds=self.held_out_parts,
+            folds=FOLDS,
         )
         report = report_lines(fit)
         known = "; ".join(line.strip().rstrip(":") for line in report)

@@ -33,8 +33,6 @@ SMALL = "--quality draft --size 64 48 --workers synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
-    r"(--mm-per-px \S+) -o": r"\1 --held-out-parts 2 -o",
-    r"--sensor start.toml -o": "--sensor start.toml --held-out-parts 0 -o",
     r"--domains 60 --frames 60": f"--domains 2 --frames 12 --ranges small.toml {SMALL}",
     r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
@@ -121,6 +119,7 @@ def data_of_the_readme(_: Callable) -> Callable:
 
 
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "gelgap calibrate": {"cli.calibrate.FOLDS": lambda real: 2},
     "gelgap benchmark physics --quick": {
         "benchmarks.physics.cases.run_missing": measured_in_this_process,
         "benchmarks.physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
@@ -137,7 +136,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "benchmarks.adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
     },
 }
-"""Benchmarks whose quick form takes minutes: what in gelgap is replaced by its smallest case."""
+"""What else is replaced in gelgap, for commands that take minutes even so."""
 
 
 # --- running them ----------------------------------------------------------------------------------------------

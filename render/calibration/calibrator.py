@@ -200,7 +200,7 @@ def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> 
     if any(len(place) - len(part) < _FEWEST_FITTED for part in parts):
         raise ValueError(
             f"{len(place)} presses lie at {len(firsts)} places, and those of one place are held out together: fewer "
-            f"than {_FEWEST_FITTED} would be left to fit; press at more places, or hold none out"
+            f"than {_FEWEST_FITTED} would be left to fit; press at more places"
         )
     return parts
 
