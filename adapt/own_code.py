@@ -3,7 +3,6 @@
 Code runs only when the user names its file. A checkpoint keeps the name of its feature extractor, which runs nothing.
 """
 
-import hashlib
 import inspect
 import logging
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.names import unknown_name
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def own_backbone(name: str) -> "Callable[[int], nn.Module]":
 def code_sha256(item: Any) -> str:
     """Return the hash of the file that a class or function stands in; nothing where it has none."""
     file = inspect.getsourcefile(item)
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    return file_sha256(Path(file)) if file else ""
 
 
 def imported(place: str, what: str) -> tuple[ModuleType, str]:
@@ -103,7 +103,7 @@ def imported(place: str, what: str) -> tuple[ModuleType, str]:
 def _from_file(name: str) -> ModuleType:
     path = Path(name).resolve(strict=True)
     # What it defines is found by its module's name when its source is asked for.
-    known_as = f"gelgap_own_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    known_as = f"gelgap_own_{sha256(str(path).encode())[:12]}"
     if known_as not in sys.modules:
         spec = spec_from_file_location(known_as, path)
         module = sys.modules[known_as] = module_from_spec(spec)

@@ -3,7 +3,6 @@
 The folder's name ends with the hash of all that decides the result (`runs.run_key`).
 """
 
-import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +14,7 @@ from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.selection import LabelFree
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
+from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, sha256, write_checksums
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import whole_file, write_whole
@@ -92,7 +91,7 @@ def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> Non
     A run that failed has the record alone.
     """
     record = _RUN.dump_json(run, indent=1) + b"\n"
-    sums = {RECORD: hashlib.sha256(record).hexdigest()}
+    sums = {RECORD: sha256(record)}
     if run.problem is None:
         kept = {
             name: values.astype(np.float16 if name.endswith("_features") else np.float32)

@@ -1,6 +1,5 @@
 """Doing runs: one stage 1 on a source, then each method on each target; what is finished is not repeated."""
 
-import hashlib
 import json
 import platform
 import time
@@ -31,7 +30,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.run_record import RECORD, Run, load_run, write_run
 from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
 from gelgap.adapt.trainer import adapt, train_source, untrained
-from gelgap.assets.checksums import file_sha256
+from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
 from gelgap.assets.whole_file import warn
@@ -421,7 +420,7 @@ def _key(
         "seed": seed,
         "weights": None if weights is None else file_sha256(Path(weights)),
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps(content, sort_keys=True).encode())
 
 
 def versions() -> dict[str, str]:

@@ -6,7 +6,6 @@ records: `run_missing` measures what has no record yet and returns all as a Data
 
 import contextlib
 import dataclasses
-import hashlib
 import io
 import itertools
 import json
@@ -27,7 +26,7 @@ import numpy as np
 
 from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.checksums import canonical_json, parse_json, with_checksum, without_checksum
+from gelgap.assets.checksums import canonical_json, parse_json, sha256, with_checksum, without_checksum
 from gelgap.assets.locks import defer_signals
 from gelgap.assets.whole_file import warn, write_whole
 
@@ -119,7 +118,7 @@ def read_records(file: Path) -> "pd.DataFrame":
 
 def key_of(setting: Setting) -> str:
     """Return the name of a setting: a hash of its canonical JSON, in which a tuple is a list."""
-    return hashlib.sha256(canonical_json(_through_json(setting))).hexdigest()[:16]
+    return sha256(canonical_json(_through_json(setting)))[:16]
 
 
 def _measured(
@@ -133,7 +132,7 @@ def _measured(
         buffer = io.BytesIO()
         np.savez(buffer, **arrays)
         write_whole(folder / f"{key}.npz", buffer.getvalue())
-        plain[_ARRAYS] = hashlib.sha256(buffer.getvalue()).hexdigest()
+        plain[_ARRAYS] = sha256(buffer.getvalue())
     return plain
 
 
@@ -229,7 +228,7 @@ def _read_arrays(file: Path, key: str, digest: str | None) -> dict[str, np.ndarr
     path = file.with_suffix("") / f"{key}.npz"
     try:
         content = path.read_bytes()
-        return read_arrays(content) if hashlib.sha256(content).hexdigest() == digest else None
+        return read_arrays(content) if sha256(content) == digest else None
     except (FileNotFoundError, ValueError):
         return None
 

@@ -7,7 +7,6 @@ on where the gel is pressed. Both grow with the volume of the dent, so that the 
 what dots of the gel leave of the light, where they are in the reference; they move with the gel.
 """
 
-import hashlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from pydantic import Field, field_serializer, model_validator
 
 from gelgap.assets.array_file import read_arrays
+from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
@@ -80,7 +80,7 @@ class FlatField(Settings):
             )
         found = self.model_copy(update={"file": str(path)})
         load_maps(found)
-        digest = self.sha256 or hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = self.sha256 or file_sha256(path)
         return found.model_copy(update={"sha256": digest})
 
 
@@ -139,7 +139,7 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
             f"flat field {path} has {path.stat().st_size} bytes; at most {LARGEST_FILE_BYTES} are read"
         )
     data = path.read_bytes()
-    if flat_field.sha256 and hashlib.sha256(data).hexdigest() != flat_field.sha256:
+    if flat_field.sha256 and sha256(data) != flat_field.sha256:
         raise ValueError(
             f"flat field {path} is not the file that the sensor was made with: its SHA-256 differs"
         )
@@ -182,7 +182,7 @@ def save_maps(maps: FlatFieldMaps, path: Path) -> str:
     buffer = BytesIO()
     np.savez_compressed(buffer, **parts)
     write_whole(path, buffer.getvalue())
-    return hashlib.sha256(buffer.getvalue()).hexdigest()
+    return sha256(buffer.getvalue())
 
 
 def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:

@@ -23,14 +23,8 @@ def detect_markers(picture: np.ndarray, least_contrast: float = 0.25) -> np.ndar
     """
     import cv2
 
-    _check(picture)
-    width = picture.shape[1]
-    size = int(max(_LARGEST_DIAMETER * width, 5)) | 1
-    # OpenCV finds the brightest channel twenty times as fast as NumPy, whose inner loop is over three values.
-    channels = cv2.max(cv2.max(picture[..., 0], picture[..., 1]), picture[..., 2])
-    brightest = cv2.GaussianBlur(channels, (0, 0), 0.8 * max(width / 320, 0.5))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    around = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, kernel)
+    brightest, width = smooth_brightness(picture), picture.shape[1]
+    around = without_dark_spots(brightest)
     depth = around - brightest
     otsu, _ = cv2.threshold(depth, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     if otsu < least_contrast * np.median(around):
@@ -47,6 +41,25 @@ def detect_markers(picture: np.ndarray, least_contrast: float = 0.25) -> np.ndar
         cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)) for size in (2 * grow + 1, grow)
     )
     return cv2.dilate(rim & cv2.dilate(core, wide), narrow).astype(bool)
+
+
+def smooth_brightness(picture: np.ndarray) -> np.ndarray:
+    """Return the brightest channel (h, w) of a uint8 (h, w, 3) picture, its noise smoothed away."""
+    import cv2
+
+    _check(picture)
+    # OpenCV finds the brightest channel twenty times as fast as NumPy, whose inner loop is over three values.
+    channels = cv2.max(cv2.max(picture[..., 0], picture[..., 1]), picture[..., 2])
+    return cv2.GaussianBlur(channels, (0, 0), 0.8 * max(picture.shape[1] / 320, 0.5))
+
+
+def without_dark_spots(brightest: np.ndarray) -> np.ndarray:
+    """Return a grey picture (h, w) with all that is dark and no larger than a marker closed."""
+    import cv2
+
+    size = int(max(_LARGEST_DIAMETER * brightest.shape[1], 5)) | 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, kernel)
 
 
 def inpaint_telea(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -266,10 +266,6 @@ class Rasterizer:
         self._key = positions_mm.copy()
         return self._geometry[::-1]
 
-    def forget(self) -> None:
-        """Raster the next membrane even if it is the last one again."""
-        self._key = None
-
     def delete(self) -> None:
         """Free what this rasteriser holds in the OpenGL context."""
         gl = self._gl

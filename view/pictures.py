@@ -15,7 +15,7 @@ from gelgap.render import (
     Sensor,
     encode,
 )
-from gelgap.render.imaging import picture_gap
+from gelgap.render.imaging import picture_gap, srgb_decode
 from gelgap.sim import MembraneState
 from gelgap.sim.problem import QualityName
 
@@ -102,8 +102,7 @@ def swatch(led: Led) -> Rgb:
 
 def recoloured(led: Led, picked: Rgb, camera: Camera) -> Led:
     """Return an LED of a picked colour that is as bright in its strongest channel as before."""
-    code = np.array(picked) / 255
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    linear = srgb_decode(np.array(picked) / 255)
     brightest = max(colour_of_spectrum(led.spectrum, camera))
     scaled = linear / max(linear.max(), 1e-3) * brightest
     return led.model_copy(update={"spectrum": RgbSpectrum(rgb=tuple(float(value) for value in scaled))})

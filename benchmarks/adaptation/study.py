@@ -5,7 +5,6 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 """
 
 import datetime
-import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt.result_table import ResultTable
-from gelgap.assets.checksums import canonical_json
+from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
@@ -223,7 +222,7 @@ def configuration_of(profile: "Profile", *data: Any) -> str:
     The files hold labels and pictures, so that pictures of another processor are another configuration.
     """
     common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
-    return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
+    return sha256(canonical_json([common, *data]))[:12]
 
 
 @cache

@@ -15,7 +15,7 @@ import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.physics.cases import Case
-from gelgap.benchmarks.physics.errors import SURFACE, Picture, combined, measured
+from gelgap.benchmarks.physics.errors import SURFACE, combined, measured
 from gelgap.benchmarks.physics.references import (
     FORCE_UNCERTAINTY_PERCENT,
     NO_SLIP_FRICTION,
@@ -28,6 +28,7 @@ from gelgap.benchmarks.physics.references import (
     surface_cases,
     tabled_sphere,
 )
+from gelgap.domains.generation.shard import paper_picture
 
 QUICK_CASE = FINE_CASE = "nh49_no_slip"
 QUICK_DEPTH_MM = 0.4
@@ -72,7 +73,7 @@ def run(quick: bool, out_dir: Path) -> None:
     end, what is solved is kept in `out_dir`/physics-solves: a benchmark that was stopped goes on from there.
     """
     solves = out_dir / "physics-solves"
-    results = measured(quick_cases() if quick else full_cases(), solves, picture_maker())
+    results = measured(quick_cases() if quick else full_cases(), solves, paper_picture)
     show_tables(results)
     show_targets(results["presses"], results["drags"])
     plot_frontier(out_dir / "physics-frontier.png", frontier(results["presses"]))
@@ -124,14 +125,6 @@ def at_both(cases: Iterable[Case]) -> list[Case]:
     """Return cases at `draft` and at `standard`."""
     cases = list(cases)
     return [replace(case, quality=quality) for quality in ("draft", "standard") for case in cases]
-
-
-def picture_maker() -> Picture:
-    """Return a function that renders a membrane with the paper's sensor under i0."""
-    from gelgap.render import Illumination, MembraneRenderer, Sensor
-
-    renderer = MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
-    return lambda state: renderer.picture(state.x_mm, state.y_mm, state.displacement_mm.astype(np.float32))
 
 
 def show_tables(results: Mapping[str, pd.DataFrame]) -> None:

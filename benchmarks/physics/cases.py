@@ -3,7 +3,6 @@
 Those processes import this module, so that it is light: what they take is what is measured.
 """
 
-import hashlib
 import importlib.metadata
 import math
 import resource
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap import sim
+from gelgap.assets.checksums import sha256
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 from gelgap.sim.plan import Solve, SolvePlan, plan_visit
@@ -111,7 +111,7 @@ def solved_cases(cases: Iterable[Case], folder: Path, processes: int | None = No
     settings = [
         {
             "what": f"{case.study}, {case.name}, {case.quality}",
-            "of": hashlib.sha256(f"{case.solve!r} {code_digest()}".encode()).hexdigest()[:12],
+            "of": sha256(f"{case.solve!r} {code_digest()}".encode())[:12],
         }
         for case in ordered
     ]
@@ -141,5 +141,5 @@ def _solved(solves: Mapping[str, Solve], setting: Setting) -> Results:
 def code_digest() -> str:
     """Return a short hash of the simulator's code and of MuJoCo's version."""
     files = sorted(Path(sim.__file__).parent.rglob("*.py"))
-    code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    code = sha256(b"".join(file.read_bytes() for file in files))
     return f"{code[:12]} {importlib.metadata.version('mujoco')}"

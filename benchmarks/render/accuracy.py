@@ -5,7 +5,6 @@ time in one thread, from a displacement to the 8-bit picture. Processor time equ
 jobs on the machine disturb it least.
 """
 
-import hashlib
 import time
 from collections.abc import Callable
 from itertools import count
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from gelgap.assets.checksums import sha256
 from gelgap.benchmarks.common import Results, Setting, processor_s, run_missing, show, write_json
 from gelgap.benchmarks.render.scenes import (
     ALL_SCENES,
@@ -78,9 +78,9 @@ def path_traced(folder: Path) -> dict[RenderScene, np.ndarray]:
     """Return all scenes' path-traced pictures, read where all that they depend on is as it was, or traced anew."""
     by_name, settings = {scene.name: scene for scene in ALL_SCENES}, []
     for name, scene in by_name.items():
-        of = hashlib.sha256(f"{scene.sensor()!r} {scene.light()!r}".encode())
-        of.update(b"".join(array.tobytes() for array in scene.membrane()))
-        settings.append({"scene": name, "samples": SAMPLES_PER_PIXEL, "of": of.hexdigest()[:16]})
+        content = [f"{scene.sensor()!r} {scene.light()!r}".encode()]
+        content += [array.tobytes() for array in scene.membrane()]
+        settings.append({"scene": name, "samples": SAMPLES_PER_PIXEL, "of": sha256(b"".join(content))[:16]})
 
     def traced(setting: Setting) -> Results:
         return {"linear": trace(by_name[setting["scene"]], SIZES_PX[0], setting["samples"])}

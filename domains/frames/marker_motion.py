@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from gelgap.render import Camera
+from gelgap.render.inpainting import smooth_brightness, without_dark_spots
 
 # By this share of their surroundings' code value markers are darker at least; noise and most shading is not.
 _LEAST_CONTRAST = 0.25
@@ -137,17 +138,12 @@ def _darkness(picture: np.ndarray) -> np.ndarray:
     """Return uint8 (h, w): by how many 255ths its surroundings are brighter than a pixel, in the brightest channel."""
     import cv2
 
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
-        raise ValueError(f"picture must be uint8 (h, w, 3), not {picture.dtype} {picture.shape}")
-    height, width = picture.shape[:2]
-    brightest = cv2.max(cv2.max(picture[..., 0], picture[..., 1]), picture[..., 2])
-    smooth = cv2.GaussianBlur(brightest, (0, 0), 0.8 * max(width / 320, 0.5))
+    smooth = smooth_brightness(picture)
+    height, width = smooth.shape
     # What is around varies slowly: at 160 px it costs a sixteenth.
     small = min(1.0, 160 / width)
     reduced = cv2.resize(smooth, None, fx=small, fy=small, interpolation=cv2.INTER_AREA)
-    size = int(max(0.08 * reduced.shape[1], 5)) | 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    around = cv2.resize(cv2.morphologyEx(reduced, cv2.MORPH_CLOSE, kernel), (width, height))
+    around = cv2.resize(without_dark_spots(reduced), (width, height))
     lower = cv2.subtract(around, smooth)
     return cv2.divide(lower, around, scale=255.0)
 

@@ -4,7 +4,6 @@ Only the first use of a camera imports colour-science; its response is kept on d
 """
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.checksums import read_json
+from gelgap.assets.checksums import read_json, sha256
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
@@ -132,7 +131,7 @@ def camera_response(sensitivity: str) -> np.ndarray:
     A file that cannot be read or written costs an import of colour-science and nothing else.
     """
     text = json.dumps([sensitivity, version("colour-science"), _MODEL])
-    key = hashlib.sha256(text.encode()).hexdigest()
+    key = sha256(text.encode())
     path = cache_folder() / f"{key}.led"
     if (found := _kept(path)) is None:
         with key_lock(cache_folder(), key):
