@@ -288,7 +288,9 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
 def state_digest(model: "ForceModel") -> str:
     """Return the SHA-256 of a model's weights and running statistics: who has the same starts where this run did."""
     state = model.network.state_dict().items()
-    return sha256(b"".join(name.encode() + values.cpu().contiguous().numpy().tobytes() for name, values in state))
+    return sha256(
+        b"".join(name.encode() + values.cpu().contiguous().numpy().tobytes() for name, values in state)
+    )
 
 
 def versions_line() -> str:
