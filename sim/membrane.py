@@ -366,8 +366,12 @@ class MembraneCubic:
     def within(self, points_mm: Floats) -> Floats:
         """Move points (…, 2) beyond the vertices' hull to its rim."""
         points = np.clip(points_mm, self.rest_mm.min(axis=0), self.rest_mm.max(axis=0))
-        beyond = (points @ (self._edges[:, :2] / -self._edges[:, 2:]).T).max(axis=-1, keepdims=True)
-        return points / np.maximum(beyond / 0.999, 1.0)
+        x, y = points[..., 0], points[..., 1]
+        beyond = np.ones(x.shape)
+        # A product of matrices, one for each row of points, has BLAS' threads wait for one another: 100 times as long.
+        for along_x, along_y, offset in self._edges:
+            np.maximum(beyond, (along_x * x + along_y * y) / (-0.999 * offset), out=beyond)
+        return points / beyond[..., None]
 
     def at(self, points_mm: Floats) -> Floats:
         """Return the displacement (…, 3) at points (…, 2)."""

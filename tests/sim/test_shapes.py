@@ -287,6 +287,14 @@ def test_a_long_contact_that_lies_across_the_mesh_has_cells_for_its_own_width() 
     assert problem.cell_mm < problem.meshed_radius_mm < 0.5 * min(problem.half_cut_mm)
 
 
+def test_a_square_that_stands_on_its_corner_is_not_round() -> None:
+    problem = (
+        plan_visit(THICK_GEL, Box(size_mm=(3, 3), yaw_deg=45.0), (Pose(0.4),), "draft").solves[0].problem
+    )
+    assert problem.is_oblique
+    assert not problem.is_round
+
+
 @pytest.mark.slow
 def test_a_long_contact_that_lies_across_the_mesh_has_the_force_of_hertz() -> None:
     depths_mm = (0.0075, 0.015, 0.03, 0.06)
