@@ -87,13 +87,14 @@ def sizes_along(
     sizes = Sizes(*map(np.concatenate, parts), largest_mm)
     if problem.indenter.convex:
         return sizes
-    # Cells along a body of many features are as fine as their number allows.
+    # Cells along a body of many features are as fine as their number allows, which is less across a long one.
     low, high = np.reshape(problem.cut_mm, (2, 2))[axis] + swept_mm
-    largest_mm = max(problem.cell_mm, (high - low) / problem.most_cells_along)
+    most = problem.most_cells_along * math.sqrt(min(1.0, (high - low) / (2 * max(problem.half_cut_mm))))
+    largest_mm = max(problem.cell_mm, (high - low) / most)
     finest_mm = np.geomspace(sizes.size_mm.min(), largest_mm, _FINEST_TRIED)
     for least_mm in finest_mm:
         sizes = replace(sizes, size_mm=np.maximum(sizes.size_mm, least_mm))
-        if len(sizes.positions_mm(low, high)) <= problem.most_cells_along + 1:
+        if len(sizes.positions_mm(low, high)) <= most + 1:
             break
     return sizes
 

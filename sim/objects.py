@@ -1,6 +1,7 @@
 """Everyday objects made by code, by the heights of what each shows to the gel, and several bodies as one."""
 
 from collections.abc import Callable, Sequence
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,11 @@ _FAR_MM = 1e3
 _ROUNDINGS = ("edge_radius_mm", "tip_radius_mm", "radius_mm")
 # Creases of several bodies are filled by a ball of this radius at most.
 _LARGEST_FILL_MM = 0.2
-# Strokes of letters, by where they begin and end in a box of 1 × 1, y down.
+# Letters by the corners of their strokes in a box of 1 × 1, y down.
 _LETTERS = {
-    "G": (
-        (0.9, 0.1, 0.1, 0.1),
-        (0.1, 0.1, 0.1, 0.9),
-        (0.1, 0.9, 0.9, 0.9),
-        (0.9, 0.9, 0.9, 0.5),
-        (0.9, 0.5, 0.5, 0.5),
-    ),
-    "E": ((0.1, 0.1, 0.1, 0.9), (0.1, 0.1, 0.9, 0.1), (0.1, 0.5, 0.7, 0.5), (0.1, 0.9, 0.9, 0.9)),
-    "L": ((0.1, 0.1, 0.1, 0.9), (0.1, 0.9, 0.9, 0.9)),
+    "G": [[(0.9, 0.1), (0.1, 0.1), (0.1, 0.9), (0.9, 0.9), (0.9, 0.5), (0.5, 0.5)]],
+    "E": [[(0.9, 0.1), (0.1, 0.1), (0.1, 0.9), (0.9, 0.9)], [(0.1, 0.5), (0.7, 0.5)]],
+    "L": [[(0.1, 0.1), (0.1, 0.9), (0.9, 0.9)]],
 }
 
 
@@ -152,8 +147,8 @@ def _letters(x: Floats, y: Floats) -> Floats:
     inside = np.zeros(x.shape, dtype=bool)
     for place, letter in enumerate("GEL"):
         u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.8) / 3.6
-        for ends in _LETTERS[letter]:
-            inside |= _stroke(u, v, ends) < 0.13
+        for start, end in chain.from_iterable(map(pairwise, _LETTERS[letter])):
+            inside |= _stroke(u, v, (*start, *end)) < 0.13
     return _solid(inside)
 
 

@@ -75,6 +75,10 @@ def test_waves_make_a_punch_lighter_as_finite_elements_do(waves: MembraneState) 
     assert 0.01 < waves.error.force_n[2] / abs(waves.force_n[2]) < 0.03
 
 
+def test_a_press_settles_where_a_vertex_stands_on_the_rim_of_recesses() -> None:
+    assert solve_pose(GEL, punch(0.1, 1.2), Pose(depth_mm=0.15), quality="draft").converged
+
+
 @pytest.mark.parametrize(("length_mm", "shown"), [(0.16, 0.0), (0.4, 1.0)])
 def test_waves_too_short_for_the_grid_are_put_in_by_their_mean(length_mm: float, shown: float) -> None:
     # Sampled every 0.1 mm, waves of 0.16 mm would be waves of 0.27.
