@@ -267,8 +267,7 @@ def find_marks(
         cubics = _shared(dented, dents, np.array(poses))
         poses = list(map(_placed, dented, repeat(dents), poses, cubics))
     if len(pressed) >= FEWEST_FOR_GAIN:
-        level = list(map(_level, dented, repeat(dents), poses, repeat(small)))
-        *off_px, darker = np.median(level, axis=0)
+        *off_px, darker = np.median([*map(_level, dented, repeat(dents), poses, repeat(small))], axis=0)
         if darker > _DARKER:
             poses = [pose + np.array([*off_px, 0.0]) for pose in poses]
     cubics = _shared(dented, dents, np.array(poses))
