@@ -4,11 +4,13 @@ Where a ball touches, the membrane's normal is the ball's, and around it that of
 says all normals around its centre. What a press changes is taken for a cubic in the normal, solved for exactly, and
 its centre and radius are those that leave least. A shadow is darkness that no normal explains: it weighs little. In a
 second step, of twelve presses or more, the cubic is that of all presses, quadratic in their place, so that one colour
-is one slope in each: radii scatter half as much on a DIGIT.
+is one slope in each: radii scatter half as much on a DIGIT. Where contact itself darkens gel, all centres are moved to
+where it is level, which took marks of a real sensor from 0.37 to 0.26 mm of those by hand.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -29,6 +31,9 @@ _ROUNDS, _SHARED_ROUNDS, _EVALUATIONS = 4, 4, 8
 _MOST_MOVED, _SHRINKS, _GROWS = 0.6, 0.6, 1.5  # of the radius, in a round
 _LEAST_RADIUS = 1 / 40  # of the width; smaller ones may lie on a dot
 _RIDGE = 1e-4
+# What is level is sought within so many radii. Gel that touches is darker by 0.05 to 0.07 of its code values on two
+# sensors, whose centres are moved, by 0.03 or less, or brighter, on five.
+_INSIDE, _DARKER, _LEVEL_ROUNDS, _STEP_PX, _MOST_LEVEL_STEP = 0.9, 0.04, 6, 0.3, 0.3
 _BEYOND, _FAR = 2.0, 2.5  # radii
 _DETAIL_PX = 3.0
 # Of a phase correlation; noise alone has less than 11 over the square root of its pixels.
@@ -123,14 +128,11 @@ class _Change:
         step = np.gradient(np.where(seen.any(axis=1), mean, mean[seen.any(axis=1)][-1]))
         return np.array([column, row, radii[step.argmin(), 0] / _STEP_BEYOND_CONTACT])
 
-    def samples(self, pose_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def samples(self, pose_px: np.ndarray, reach: float = _REACH) -> tuple[np.ndarray, np.ndarray]:
         """Return points (n, 2) around a contact, clear of dots, and the change there (n, 3); always the same ones."""
         share, turn = np.random.default_rng(0).uniform(size=(2, _SAMPLES))
-        away = _REACH * pose_px[2] * np.sqrt(share)
-        points = np.round(
-            pose_px[:2]
-            + np.column_stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)]) * away[:, None]
-        )
+        away, angle = reach * pose_px[2] * np.sqrt(share), 2 * np.pi * turn
+        points = np.round(pose_px[:2] + np.column_stack([np.cos(angle), np.sin(angle)]) * away[:, None])
         height, width = self.clear.shape
         points = points[((points >= 0) & (points < (width, height))).all(axis=1)]
         columns, rows = points.T.astype(int)
@@ -176,10 +178,8 @@ def _placed(
     def weighted_error(pose: np.ndarray) -> np.ndarray:
         return (np.sqrt(weight)[:, None] * error(pose)).ravel()
 
-    smallest, size_px = (
-        max(dents.radii_px[0], _LEAST_RADIUS * change.clear.shape[1]),
-        change.clear.shape[::-1],
-    )
+    size_px = change.clear.shape[::-1]
+    smallest = max(dents.radii_px[0], _LEAST_RADIUS * size_px[0])
     radius = np.clip(pose_px[2], smallest, max(smallest, dents.radii_px[-1]))
     center_px = np.clip(pose_px[:2], 0, size_px)
     low = np.array([*(center_px - _MOST_MOVED * radius), max(_SHRINKS * radius, smallest) - 1e-3])
@@ -190,6 +190,29 @@ def _placed(
         pose_px = least_squares(weighted_error, start, **options).x
         weight = _weights(error(pose_px))  # in the second turn shadows weigh little
     return pose_px
+
+
+def _level(change: _Change, dents: _Dents, pose_px: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return (3,): how far in x and y px from its centre a contact is level, and by what share gel in it is darker.
+
+    By Gauss-Newton inside the contact alone, where the normal is the ball's: around it shadows lie, on one side.
+    """
+    off_px, darker = np.zeros(3), 0.0
+    for _ in range(_LEVEL_ROUNDS):
+        pose = pose_px + off_px
+        points, real = change.samples(pose, _INSIDE)
+        rest = reference[tuple(points.T[::-1].astype(int))].astype(float)
+        columns, lit = dents.columns(points, pose), real + darker * rest
+        weight = _weights(lit - columns @ _coefficients(columns, lit, np.ones(len(points))))
+        own, ways = _coefficients(columns, lit, weight), _STEP_PX * np.eye(3)[:2]
+        moved = [dents.columns(points, pose + way) - dents.columns(points, pose - way) for way in ways]
+        along = [columns_moved @ own / (2 * _STEP_PX) for columns_moved in moved]
+        values = np.concatenate([*along, -rest, real], axis=1)
+        left = np.sqrt(weight)[:, None] * (values - columns @ _coefficients(columns, values, weight))
+        *causes, error = left.reshape(-1, 4, 3).swapaxes(0, 1).reshape(4, -1)
+        *step_px, darker = np.linalg.lstsq(np.transpose(causes), error, rcond=None)[0]
+        off_px[:2] += np.clip(step_px, -_MOST_LEVEL_STEP * pose[2], _MOST_LEVEL_STEP * pose[2])
+    return np.array([*off_px[:2], darker])
 
 
 def _shared(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> np.ndarray:
@@ -222,11 +245,7 @@ def find_marks(
     scale = min(1.0, _WIDEST_PX / max(reference.shape))
 
     def seen(picture: np.ndarray) -> np.ndarray:
-        return (
-            cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            if scale < 1
-            else picture
-        )
+        return cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
     small = seen(reference)
     dots = found_dots(small)
@@ -246,10 +265,11 @@ def find_marks(
         poses.append(pose)
     for _ in range(_SHARED_ROUNDS if len(pressed) >= FEWEST_FOR_GAIN else 0):
         cubics = _shared(dented, dents, np.array(poses))
-        poses = [
-            _placed(change, dents, pose, cubic)
-            for change, pose, cubic in zip(dented, poses, cubics, strict=True)
-        ]
+        poses = list(map(_placed, dented, repeat(dents), poses, cubics))
+    if len(pressed) >= FEWEST_FOR_GAIN:
+        *off_px, darker = np.median([*map(_level, dented, repeat(dents), poses, repeat(small))], axis=0)
+        if darker > _DARKER:
+            poses = [pose + np.array([*off_px, 0.0]) for pose in poses]
     cubics = _shared(dented, dents, np.array(poses))
     for number, pose, cubic in zip(pressed, poses, cubics, strict=True):
         found[number] = _mark(own[number], small, changes[number], dents, pose, cubic, scale)
@@ -283,8 +303,7 @@ def _mark(
     scale: float,
 ) -> FoundMark:
     points, real = change.samples(pose_px)
-    columns = dents.columns(points, pose_px)
-    error = real - columns @ cubic
+    error = real - dents.columns(points, pose_px) @ cubic
     size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()

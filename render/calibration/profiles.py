@@ -12,6 +12,7 @@ _DEPTHS = 64
 _TOUCHING_MM = 0.004
 # Profiles reach further out than the solves by this factor; there they decay as the solves do over their last mm.
 _BEYOND, _DECAY_MM = 2.5, 1.5
+_MOST_MARKED = 1.12  # of the largest contact's radius: marks by hand are up to so much larger than found ones
 # By what share of the distance from the edge they are smoothed, by as much nearer than this; and in how many steps.
 _SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400
 # Where a sensor's own slope around its contacts is fitted, in radii of the contact; it is 0 beyond.
@@ -111,7 +112,7 @@ class PressProfiles:
             If the sphere's cap cannot reach that radius.
         """
         depths, radii = self._smooth_radii()
-        if contact_radius_mm > 1.08 * radii[-1]:
+        if contact_radius_mm > _MOST_MARKED * radii[-1]:
             raise ValueError(
                 f"a contact of radius {contact_radius_mm:.2f} mm is marked, and a sphere of radius "
                 f"{self.sphere_radius_mm:g} mm reaches {radii[-1]:.2f} mm at most; check sphere_diameter_mm, radius_px "

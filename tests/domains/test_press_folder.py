@@ -11,6 +11,7 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import press_folder
 from gelgap.domains.press_folder import SHEET, mark_presses, stills_of
 from gelgap.render import Markers, MembraneRenderer, Sensor
+from gelgap.render.calibration import marks
 from gelgap.render.calibration.pictures import read_press_list
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
 
@@ -148,3 +149,17 @@ def test_of_a_video_rest_and_the_stillest_picture_of_each_press_are_taken(
     np.testing.assert_array_equal(stills["clip-rest.png"], frames[0])
     np.testing.assert_array_equal(stills["clip-press-1.png"], frames[7])
     np.testing.assert_array_equal(stills["clip-press-2.png"], frames[14])
+
+
+def test_by_how_much_contact_darkens_gel_is_told_from_where_it_is_level(pictures: list[np.ndarray]) -> None:
+    rest, pressed = pictures[0], pictures[2]
+    x, y = Sensor.preset("digit-like").camera.project_px(np.array([0.0, 0.0, 0.0]), SIZE_PX) - 0.5
+    radius_px = (DEPTH_MM * BALL_MM / 2) ** 0.5 / mm_per_px()
+    away = np.hypot(*(np.indices(rest.shape[:2]) - np.array([y, x])[:, None, None]))
+    dark = np.where(away[..., None] < radius_px, 0.92 * pressed, pressed).astype(np.uint8)
+    dents, off = marks._Dents.of(profiles({BALL_MM})[BALL_MM], mm_per_px()), []
+    for picture in (pressed, dark):
+        change = marks._Change.of(picture, rest, None)
+        off.append(marks._level(change, dents, np.array([x + 1.0, y - 1.0, radius_px]), rest))
+    assert [*off[0][:2], *off[1][:2]] == pytest.approx([-1.0, 1.0] * 2, abs=0.5)
+    assert off[1][2] - off[0][2] == pytest.approx(0.08, abs=0.02)
