@@ -175,7 +175,11 @@ def picture_folder(folder: Path, text: str) -> Path:
     ("text", "problem"),
     [
         ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
-        ("picture;fz_n\n0.png;0\n1.png;-0,5\n", "row 2 below the header holds '-0,5'; write a decimal point"),
+        (
+            "picture;fx;fz\n0.png;.1;0\n1.png;.1;-0,5\n",
+            "row 2 below the header holds '-0,5'; write a decimal",
+        ),
+        ("picture fz_n\n0.png 0\n1.png -0.5\n", "tabs must separate columns; its header is 'picture fz_n'"),
         ("picture,fz_n\n0.png,0\n1.png,-0,5\n", "row 2 below the header has 3 cells, and the header 2"),
         ("picture,fz_n,fx\n0.png,0,0\n1.png,-0.5\n", "row 2 below the header has 2 cells, and the header 3"),
         ("picture,fz_n\n0.png,0\n,-0.5\n", "column 'picture': row 2 below the header holds nothing"),
@@ -277,6 +281,9 @@ def test_a_column_that_nobody_needs_is_skipped_and_said(tmp_path: Path):
         "sep=;\npicture;Fz (mN)\n0.png;0\n1.png;-500\n",
         "picture,Fz\n,[mN]\n0.png,0\n1.png,-500\n",
         "picture,Fz\n.\\0.png,0\n1.png,−0.5\n",
+        "# of today\n# picture,Fz\n0.png,0\n1.png,-0.5\n",
+        "picture,Fz\n0.png,0\n# second series\n1.png,-0.5\n",
+        "picture;Fz\n0.png;0\n# second series;\n1.png;-0,5\n;\n",
     ],
 )
 def test_what_programs_write_around_the_numbers_is_read(tmp_path: Path, text: str):
