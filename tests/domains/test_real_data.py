@@ -131,7 +131,10 @@ def test_a_table_without_labels_is_an_unlabelled_domain(tmp_path: Path):
     data = open_domain(folder)
     assert known_labels(data.columns) == ()
     assert data.picture(0).mean() > data.picture(1).mean()
-    assert data.notes == ("columns that are not read: torque", "1 pictures have no row in the table: not read")
+    assert data.notes == (
+        "columns that are not read: torque",
+        "1 pictures have no row in the table: not read",
+    )
 
 
 def test_a_folder_of_pictures_alone_is_an_unlabelled_domain(tmp_path: Path):
