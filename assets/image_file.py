@@ -95,6 +95,7 @@ def read_levels(path: Path | str) -> np.ndarray:
     try:
         data = path.read_bytes()
         stated_size_px(data)
+        _check_opaque(data)
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None or image.dtype not in (np.uint8, np.uint16):
             raise ValueError("its pixels are not of 8 or 16 bits")
