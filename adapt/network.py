@@ -248,7 +248,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         If it is not a checkpoint, or is damaged; the message names it.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"checkpoint {path} does not exist")
+        what = "is a folder; name its model.pt" if path.is_dir() else "does not exist"
+        raise FileNotFoundError(f"checkpoint {path} {what}")
     try:
         with path.open("rb") as file:
             is_archive = file.read(len(_ZIP)) == _ZIP

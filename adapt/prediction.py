@@ -52,7 +52,14 @@ def predict_each(
             change = change_of(picture, reference, model.profile.image_size_px)
             touch = (touch or [picture]) if len(dent_pixels(change)) else []
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
-        yield {"picture": name, **labels, "note": range_note(model.labels, predicted, model.correction)}
+        notes = [range_note(model.labels, predicted, model.correction)]
+        if _is_grey(picture) and not _is_grey(reference):
+            notes.append("the picture is grey, and the reference is not")
+        yield {"picture": name, **labels, "note": "; ".join(filter(None, notes))}
+
+
+def _is_grey(picture: np.ndarray) -> bool:
+    return bool((picture == picture[..., :1]).all())
 
 
 def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrection | None = None) -> str:
