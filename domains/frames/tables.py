@@ -149,7 +149,8 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         raise ValueError(
             f"{path}: commas, semicolons or tabs must separate columns; its header is {quoted(header[0])}"
         )
-    rows = [row for row in rows if not _is_comment(row, len(header))]
+    # A comment has another number of cells, or nothing but empty ones behind it.
+    rows = [row for row in rows if row[0][:1] != "#" or (len(row) == len(header) and any(row[1:] or row))]
     if separator == ";":
         rows = _with_decimal_points(rows)
     for number, row in enumerate(rows, 1):
@@ -164,10 +165,6 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         ]
         del rows[0]
     return [(name, [row[place] for row in rows]) for place, name in enumerate(header)]
-
-
-def _is_comment(row: list[str], columns: int) -> bool:
-    return row[0].startswith("#") and (len(row) != columns or (columns > 1 and not any(row[1:])))
 
 
 def _without_comments(text: str) -> str:
