@@ -107,7 +107,6 @@ _LARGEST_LIKELY_N = 150.0
 _COMMENTS = re.compile(r'\A(?:\s*"?(?:#|sep=).*\n)+')
 _SEPARATOR = re.compile("[,;\t]")
 _NUMBER = re.compile(r"[-+−]?(?:\d+|\d*([.,])\d+)(?:[eE][-+]?\d+)?")
-"""A number, and the mark of its decimals."""
 
 
 class _UnusableError(ValueError):
