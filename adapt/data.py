@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import INPUTS, Found, InputMap
+from gelgap.adapt.inputs import INPUTS, Found, InputMap, rest_markers
 from gelgap.adapt.profile import Profile
 from gelgap.domains import LabelledFrames, Labels, split_domains, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
@@ -148,10 +148,12 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
     Raises
     ------
     ValueError
-        If the pictures of one have fewer pixels than training shows.
+        If the pictures of one have fewer pixels than training shows, or no markers where these are shown.
     """
     for frames in (source, target):
         frames.references_at(profile.image_size_px)
+        if profile.input == "markers":
+            list(rest_markers(frames, profile.image_size_px, profile.marker_span_mm))
     (width, height), (w1, h1) = profile.image_size_px, target.size_px
     sizes = [(frames.name, *frames.size_px) for frames in source.members]
     notes = [

@@ -6,7 +6,7 @@ that faces +x, less that of the opposite one, is the domain's response to a slop
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -125,27 +125,12 @@ def displacement_fields(
     Markers are found and matched in the stored pictures and interpolated on a grid of the gel, which is the same for
     every sensor, whatever its pattern, camera and light (`gelgap.domains.frames.marker_motion`).
 
-    Raises a ValueError if mm per pixel are not known, a reference shows no markers, or most pictures show other ones.
+    Raises what `rest_markers` does, and a ValueError if most pictures show other markers.
     """
     fields = np.zeros((len(frames), size_px[1], size_px[0], 2), np.float16)
     unmatched = []
-    for number, (read, camera) in enumerate(zip(frames.rest_pictures, frames.cameras, strict=True)):
-        rows = np.flatnonzero(frames.reference_id == number)
-        if not len(rows):
-            continue
-        if camera is None:
-            raise ValueError(
-                f"input markers: mm per pixel of {frames.name} are not known; put a sensor.toml beside its pictures, a "
-                "sensor's own or with the line mm_per_px = 0.05"
-            )
-        reference = read()
-        try:
-            tracker, plate = _rest(reference.tobytes(), reference.shape, camera, size_px, span_mm)
-        except ValueError as error:
-            raise ValueError(
-                f"input markers: {frames.name}: {error}; choose another input for this domain"
-            ) from None
-        for row in rows:
+    for number, (tracker, plate) in rest_markers(frames, size_px, span_mm):
+        for row in np.flatnonzero(frames.reference_id == number):
             moved_mm = tracker.displacement_mm(frames.picture(int(row)))
             if np.isnan(moved_mm[:, 0]).mean() > _MOST_LOST:
                 unmatched.append(int(row))
@@ -159,6 +144,28 @@ def displacement_fields(
             raise ValueError(f"{told}; is it a reference of this sensor?")
         LOG.warning(told)
     return fields
+
+
+def rest_markers(
+    frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]
+) -> "Iterator[tuple[int, tuple[MarkerTracker, ThinPlate]]]":
+    """Yield the number of each reference that frames have, and what follows its markers.
+
+    Raises a ValueError if mm per pixel are not known, or a reference shows no markers.
+    """
+    for number in np.unique(frames.reference_id).tolist():
+        if (camera := frames.cameras[number]) is None:
+            raise ValueError(
+                f"input markers: mm per pixel of {frames.name} are not known; put a sensor.toml beside its pictures, a "
+                "sensor's own or with the line mm_per_px = 0.05"
+            )
+        reference = frames.rest_pictures[number]()
+        try:
+            yield number, _rest(reference.tobytes(), reference.shape, camera, size_px, span_mm)
+        except ValueError as error:
+            raise ValueError(
+                f"input markers: {frames.name}: {error}; choose another input for this domain"
+            ) from None
 
 
 def dents(frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]) -> np.ndarray:

@@ -13,11 +13,17 @@ from torch.optim.swa_utils import update_bn
 
 from gelgap.adapt.data import SAME_ASPECT, Draw, epoch_order, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
-from gelgap.adapt.network import ForceNetwork, ResNet, load_checkpoint, load_imagenet_weights, make_network
+from gelgap.adapt.network import (
+    ForceNetwork,
+    ResNet,
+    load_checkpoint,
+    load_imagenet_weights,
+    make_network,
+    save_checkpoint,
+)
 from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
-from gelgap.assets.whole_file import whole_file
 from gelgap.domains import ArrayFrames, LabelledFrames, Labels
 from gelgap.domains.frames.dataset import Camera
 from gelgap.domains.frames.first_touch import STEP, TRAJECTORY
@@ -183,8 +189,7 @@ class ForceModel:
             "correction": TypeAdapter(AffineCorrection | None).dump_python(self.correction, mode="json"),
             "camera": TypeAdapter(Camera | None).dump_python(self.camera, mode="json"),
         }
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
-            torch.save(content, file)
+        save_checkpoint(content, Path(path))
 
     @classmethod
     def load(cls, path: str | Path, backbone: str | None = None) -> "ForceModel":

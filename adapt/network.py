@@ -6,6 +6,7 @@ Backbones are ResNets [1] with torchvision's state-dict keys, any number of inpu
 """
 
 import contextlib
+import io
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -19,6 +20,7 @@ from torch.nn import functional
 
 from gelgap.adapt.own_code import own_backbone
 from gelgap.adapt.profile import Profile
+from gelgap.assets.whole_file import write_whole
 
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
@@ -225,8 +227,15 @@ def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
         ) from None
 
 
+def save_checkpoint(content: dict[str, Any], path: Path) -> None:
+    """Write what `load_checkpoint` reads; where a disk is full, torch itself says nothing of the disk."""
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    write_whole(path, buffer.getvalue())
+
+
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """Return the dictionary of a file that `torch.save` wrote, on the CPU: tensors and plain values alone.
+    """Return the dictionary of a file that `save_checkpoint` wrote, on the CPU: tensors and plain values alone.
 
     torch itself reads a file with damaged weights without a word; the CRC-32 that the file keeps of each part is
     compared here. Files in the format before torch 1.6 have none.
@@ -239,7 +248,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         If it is not a checkpoint, or is damaged; the message names it.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"checkpoint {path} does not exist")
+        what = "is a folder; name its model.pt" if path.is_dir() else "does not exist"
+        raise FileNotFoundError(f"checkpoint {path} {what}")
     try:
         with path.open("rb") as file:
             is_archive = file.read(len(_ZIP)) == _ZIP

@@ -8,7 +8,7 @@ import numpy as np
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
-from gelgap.assets.image_file import SUFFIXES, read_image
+from gelgap.assets.image_file import SUFFIXES, read_image, visible_files
 from gelgap.domains import Labels
 from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
@@ -52,7 +52,14 @@ def predict_each(
             change = change_of(picture, reference, model.profile.image_size_px)
             touch = (touch or [picture]) if len(dent_pixels(change)) else []
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
-        yield {"picture": name, **labels, "note": range_note(model.labels, predicted, model.correction)}
+        notes = [range_note(model.labels, predicted, model.correction)]
+        if _is_grey(picture) and not _is_grey(reference):
+            notes.append("the picture is grey, and the reference is not")
+        yield {"picture": name, **labels, "note": "; ".join(filter(None, notes))}
+
+
+def _is_grey(picture: np.ndarray) -> bool:
+    return bool((picture == picture[..., :1]).all())
 
 
 def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrection | None = None) -> str:
@@ -79,7 +86,7 @@ def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrecti
 
 
 def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
-    """Yield the pictures of files and of folders, those of a folder in the order of their names.
+    """Yield the pictures of files and of folders, those of a folder by their names, frame_2 before frame_10.
 
     Raises
     ------
@@ -91,7 +98,7 @@ def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
     for path in paths:
         files = [path]
         if path.is_dir():
-            files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+            files = [file for file in visible_files(path) if file.suffix.lower() in SUFFIXES]
             if not files:
                 raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")
         for file in files:

@@ -39,12 +39,13 @@ from gelgap.adapt.network import (
     autocast,
     load_checkpoint,
     make_network,
+    save_checkpoint,
     torch_threads,
 )
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
 from gelgap.assets.progress import Progress, silent
-from gelgap.assets.whole_file import warn, whole_file
+from gelgap.assets.whole_file import warn
 from gelgap.domains import LabelledFrames, with_labels
 
 MAX_SKIPPED_IN_A_ROW = 20
@@ -448,8 +449,7 @@ def _store(resume_file: Path | None, state: Mapping[str, Any], records: list[Epo
     if resume_file is None:
         return
     content = {name: part.state_dict() for name, part in state.items()}
-    with whole_file(resume_file) as temporary:
-        torch.save(content | {"records": list(map(asdict, records))}, temporary)
+    save_checkpoint(content | {"records": list(map(asdict, records))}, resume_file)
 
 
 def _resume(resume_file: Path | None, state: Mapping[str, Any]) -> list[EpochRecord]:

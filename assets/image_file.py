@@ -5,6 +5,7 @@ pages. Rotation that the file's EXIF states is applied, as viewers do.
 """
 
 import io
+import re
 import struct
 from pathlib import Path
 
@@ -20,6 +21,12 @@ _LEAST_16_BIT_PEAK = 2**14
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "I;16", "I;16B", "I;16L")
 _EXIF_ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
+
+
+def visible_files(*folders: Path) -> list[Path]:
+    """Return what lies in folders, frame_2 before frame_10, without hidden files and locks (`~$…`)."""
+    found = [path for folder in folders for path in folder.glob("[!.~]*")]
+    return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
 
 
 def read_image(path: Path | str) -> np.ndarray:
@@ -88,6 +95,7 @@ def read_levels(path: Path | str) -> np.ndarray:
     try:
         data = path.read_bytes()
         stated_size_px(data)
+        _check_opaque(data)
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None or image.dtype not in (np.uint8, np.uint16):
             raise ValueError("its pixels are not of 8 or 16 bits")

@@ -182,6 +182,7 @@ class Calibrate(opt.Command):
                 f"{self.presses} is a folder: to mark its presses, calibrate needs --ball-mm, the ball's diameter, and "
                 "--mm-per-px"
             )
+        opt.output_folder(self.presses)
         found = mark_presses(self.presses, self.ball_mm, self.mm_per_px, self.reference)
         print(f"wrote {found.path} with {found.count} presses; look at {self.presses / SHEET}")
         if found.without_contact:

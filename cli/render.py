@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from gelgap import render, sim
+from gelgap.assets.whole_file import whole_file, write_whole
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -66,7 +67,8 @@ class Render(opt.Command):
         if self.height_map is not None:
             self._write_height_map(renderer.height_map_mm(*membrane, frame_name=self.state.name))
         if self.linear is not None:
-            np.save(self.linear, linear)
+            with whole_file(self.linear) as temporary, temporary.open("wb") as file:
+                np.save(file, linear)
         if self.seed is not None:
             linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.seed))
         if not cv2.imwrite(str(self.out), render.encode(linear)[..., ::-1]):
@@ -76,7 +78,6 @@ class Render(opt.Command):
     def _write_height_map(self, height_mm: "np.ndarray") -> None:
         import numpy as np
 
-        from gelgap.assets.whole_file import write_whole
         from gelgap.domains.formats.pictures import encode_png
         from gelgap.domains.formats.shards import (
             HEIGHT_MAP_OFFSET_MM,
@@ -86,7 +87,8 @@ class Render(opt.Command):
         )
 
         if self.height_map.suffix.lower() == ".npy":
-            np.save(self.height_map, height_mm)
+            with whole_file(self.height_map) as temporary, temporary.open("wb") as file:
+                np.save(file, height_mm)
             print(f"wrote {self.height_map}: height towards the camera in mm")
             return
         low, step = HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM

@@ -12,6 +12,7 @@ import numpy as np
 
 from gelgap.assets import html_page
 from gelgap.assets.image_file import decode_image, stated_size_px
+from gelgap.assets.whole_file import write_whole
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.domains.frames.dataset import LabelledFrames
@@ -241,8 +242,7 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
         left_out=manifest and np.setdiff1d(np.arange(manifest["frames"]), frames.columns["frame_id"]),
     )
     page = Path(page)
-    page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text(text, encoding="utf-8")
+    write_whole(page, text.encode())
     return page
 
 

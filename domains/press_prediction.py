@@ -80,8 +80,6 @@ def predict_presses(
     if sensor.illumination is None:
         raise ValueError(f"sensor {sensor.name!r} has no LEDs of its own: to predict, give a fitted one")
     listed = read_press_list(path)
-    if not listed.presses:
-        raise ValueError(f"{path}: its presses are an empty list; there is nothing to predict")
     untouched, presses = _pictures(sensor, listed, path.parent, reference)
     renderer = MembraneRenderer(sensor, sensor.illumination, untouched.shape[1::-1], quality)
     untouched = renderer.reference() if not untouched.any() else untouched

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
+from gelgap.assets.whole_file import whole_file
 from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Indenter
@@ -128,7 +129,7 @@ class MembraneState:
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
         arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
-        with Path(path).open("wb") as file:
+        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
     @staticmethod

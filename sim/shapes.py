@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, create_model
 
 from gelgap.assets import list_presets, load_preset
 from gelgap.assets.names import unknown_name
-from gelgap.assets.settings import within
+from gelgap.assets.settings import Settings, within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
 from gelgap.sim.mesh_file import SAME_MM, MeshUnit, NotConvexError, convex_part, has_sharp_edges
@@ -345,18 +345,20 @@ def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) ->
     if len(kinds) != 1:
         raise ValueError(f"{', '.join(kinds) or 'nothing'}: an indenter has one of {', '.join(_KINDS)}")
     kind, what = kinds[0], values.pop(kinds[0])
+    if kind != "parts" and not isinstance(what, str):
+        raise ValueError(f"{kind} = {what!r}: must be a name in quotes")
     fields = values | fields
     if kind in ("mesh", "map"):
-        return _of_file(folder / str(what), fields)
+        return _of_file(folder / what, fields)
     if kind == "shape":
         if what not in SHAPES:
-            raise ValueError(unknown_name("shape", str(what), tuple(SHAPES), "known shapes"))
+            raise ValueError(unknown_name("shape", what, tuple(SHAPES), "known shapes"))
         return _made(SHAPES[what], fields)
     _check_fields(Surface, fields, without=_OF_A_FILE)
     if kind == "parts":
         return sum_surface(_parts(what, folder), **fields)
     if what not in OBJECTS:
-        raise ValueError(unknown_name("object", str(what), tuple(OBJECTS), "known objects"))
+        raise ValueError(unknown_name("object", what, tuple(OBJECTS), "known objects"))
     return object_surface(what, **fields)
 
 
@@ -384,6 +386,8 @@ def _of_file(path: Path, fields: dict[str, Any]) -> Any:
     if path.suffix.lower() in MAP_SUFFIXES:
         _check_fields(Surface, fields, without=("flip",))
         return Surface.load(path, **fields)
+    if {"spacing_mm", "step_mm"} & fields.keys():
+        raise ValueError(f"indenter = {str(path)!r}: a height map's name ends in {', '.join(MAP_SUFFIXES)}")
     _check_fields(ConvexMesh, fields)
     is_rounded = "edge_radius_mm" not in fields and has_sharp_edges(
         path, fields.get("unit"), fields.get("flip", False)
@@ -412,6 +416,13 @@ def _check_fields(body: type[Any], fields: dict[str, Any], without: tuple[str, .
     for name in fields:
         if name not in known:
             raise ValueError(f"{name}: a {body.shape} has none; it has {', '.join(known)}")
+    # Their values are checked before anything is worked out with them.
+    kinds: dict[str, Any] = {
+        name: (field.annotation, field)
+        for name, field in body.model_fields.items()
+        if name in fields and name not in _OF_A_FILE
+    }
+    create_model("Given", __base__=Settings, **kinds)(**{name: fields[name] for name in kinds})
 
 
 def _by(size_mm: Floats) -> str:

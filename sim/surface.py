@@ -166,8 +166,10 @@ class Surface(Shape):
                 values = _map_values(path)
                 step_mm = 1.0 if step_mm is None and path.suffix.lower() == ".npy" else step_mm
                 for name, given in (("spacing_mm", spacing_mm), ("step_mm", step_mm)):
-                    if given is None or not 0 < given <= 1:
-                        raise ValueError(f"{name} = {given}: a height map needs it, above 0 and at most 1 mm")
+                    if not isinstance(given, float | int) or not 0 < given <= 1:
+                        raise ValueError(
+                            f"{name} = {given!r}: a height map needs it, above 0 and at most 1 mm"
+                        )
                 return cls.of(-step_mm * values, spacing_mm, **fields)
             triangles_mm, height_mm = lower_end(
                 path, unit, fields.get("flip", False), _DEEPEST_MM + _KEPT_ABOVE_MM
@@ -304,11 +306,14 @@ def _map_values(path: Path) -> Floats:
     if not path.is_file():
         raise FileNotFoundError(f"height map {path} does not exist")
     try:
-        values = np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            values = np.lib.format.read_array(file, allow_pickle=False)
     except (ValueError, OSError, EOFError):
         raise ValueError("is not a .npy file of numbers") from None
     if values.dtype.kind not in "iuf":
         raise ValueError(f"holds {values.dtype}: must be numbers")
+    if np.isnan(values).any() or np.isposinf(values).any():
+        raise ValueError("holds NaN or inf, which are no heights: write −inf where nothing is")
     return values.astype(float)
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from gelgap.assets.image_file import read_image
+from gelgap.assets.image_file import read_image, visible_files
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
@@ -394,8 +394,11 @@ def _recorded_clip(table: Path) -> Clip:
     if repeated := int(labels.index.duplicated().sum()):
         labels = labels.groupby(level=0).mean()
         notes.append(f"{repeated} rows repeat the time of the row before: their mean is taken")
-    beside = [table.with_suffix(suffix) for suffix in ("", *VIDEOS)]
-    sources = [path for path in beside if path.exists()]
+    sources = [
+        path
+        for path in visible_files(table.parent)
+        if path.name == table.stem or (path.stem == table.stem and path.suffix.lower() in VIDEOS)
+    ]
     if len(sources) != 1:
         many = f" has several: {', '.join(path.name for path in sources)}" if sources else " has no pictures"
         raise ValueError(f"the clip of {table}{many}; {_LAYOUT}")
@@ -408,7 +411,7 @@ def _recorded_clip(table: Path) -> Clip:
         notes += notes_of_pictures
         time_s = of_pictures["time_s"]
         pictures: Callable[[], Iterable[np.ndarray]] = partial(
-            map, read_image, picture_paths(tables[0], of_pictures["picture"])
+            _pictures_of_one_size, picture_paths(tables[0], of_pictures["picture"])
         )
         _check_order(time_s, tables[0])
         if (repeats := np.flatnonzero(np.diff(time_s) == 0)).size:
@@ -426,6 +429,18 @@ def _recorded_clip(table: Path) -> Clip:
     return Clip(
         table.stem, table.parent.resolve().name, pictures, time_s - origin_s, labels, notes=tuple(notes)
     )
+
+
+def _pictures_of_one_size(paths: list[Path]) -> Iterator[np.ndarray]:
+    """Yield the pictures (h, w, 3) uint8 of files; a ValueError if one has another size than the first."""
+    first = read_image(paths[0])
+    for path in paths:
+        if (picture := read_image(path)).shape != first.shape:
+            (h0, w0, _), (h, w, _) = first.shape, picture.shape
+            raise ValueError(
+                f"{path} is {w}×{h} px, and {paths[0].name} {w0}×{h0} px: all must have one size"
+            )
+        yield picture
 
 
 def _check_order(time_s: np.ndarray, place: Path) -> None:

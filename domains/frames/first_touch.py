@@ -37,8 +37,14 @@ def trajectory_of(frames: LabelledFrames) -> np.ndarray:
             raise ValueError(
                 f"data set {frames.name} lacks {name} in {unknown} of {len(frames)} rows; give all or none"
             )
-    keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY]], axis=1)
-    return np.unique(keys, axis=0, return_inverse=True)[1]
+    keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY], frames.columns[STEP]], axis=1)
+    found, count = np.unique(keys, axis=0, return_counts=True)
+    if len(twice := found[count > 1]):
+        raise ValueError(
+            f"data set {frames.name} has {count.max()} rows of {TRAJECTORY} {twice[0, 1]} and {STEP} {twice[0, 2]}: "
+            "number trajectories throughout the table, and pictures within each"
+        )
+    return np.unique(keys[:, :2], axis=0, return_inverse=True)[1]
 
 
 def dents_from_touch(frames: LabelledFrames, size_px: tuple[int, int]) -> np.ndarray:

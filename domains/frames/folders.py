@@ -4,16 +4,16 @@ Published: `<domain>/{train,test,ori}/images/0.jpg …` with `forcePosition/forc
 folder of pictures and one CSV table with named columns, as of a GelSight Mini.
 """
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from unicodedata import normalize
 
 import numpy as np
 
 from gelgap.assets.checksums import sha256
-from gelgap.assets.image_file import SUFFIXES
+from gelgap.assets.image_file import SUFFIXES, visible_files
 from gelgap.assets.names import stays_inside
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
@@ -41,6 +41,7 @@ _ALIASES = {"inpainting": "wmb0i0"}
 REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "nocontact")
 REFERENCES = "references"
 IMAGES = "images"
+TABLES = (".csv", ".tsv")
 
 
 def open_domain(folder: Path | str) -> StoredFrames:
@@ -60,7 +61,7 @@ def open_domain(folder: Path | str) -> StoredFrames:
         return GeneratedDomain(folder)
     if _is_published(folder):
         return _published(folder)
-    files = _files(folder)
+    files = visible_files(folder, folder / IMAGES)
     if problem := _layout_problem(folder, files):
         raise FileNotFoundError(f"{folder} {problem}")
     return _picture_folder(folder, files)
@@ -104,23 +105,17 @@ def _layout_problem(folder: Path, files: list[Path]) -> str | None:
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
-        f"(the published layout), or with pictures and at most one CSV table{hint}"
+        f"(the published layout), or with pictures ({', '.join(SUFFIXES)}) and at most one CSV table{hint}"
     )
 
 
-def _files(folder: Path) -> list[Path]:
-    """Return what lies in a folder and in its `images/`, frame_2 before frame_10, without hidden files."""
-    found = [*folder.glob("[!.]*"), *(folder / IMAGES).glob("[!.]*")]
-    return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
-
-
 def tables_in(folder: Path) -> list[Path]:
-    """Return the CSV tables of a folder."""
-    return _tables(folder, _files(folder))
+    """Return the tables of a folder."""
+    return _tables(folder, visible_files(folder))
 
 
 def _tables(folder: Path, files: list[Path]) -> list[Path]:
-    return [path for path in files if path.parent == folder and path.suffix.lower() == ".csv"]
+    return [path for path in files if path.parent == folder and path.suffix.lower() in TABLES]
 
 
 def _pictures(files: list[Path]) -> list[Path]:
@@ -180,7 +175,7 @@ def _camera_of(file: Path, width_px: int) -> Camera:
     if set(values) != {"mm_per_px"}:
         return Sensor.load(file).camera
     with named_in_errors(file):
-        if not isinstance(scale := values["mm_per_px"], float | int) or not scale > 0:
+        if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
             raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
         return Camera.showing(width_px * scale)
 
@@ -271,6 +266,8 @@ def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
     own = _own_references(tables[0], columns) if tables else []
     references = list(dict.fromkeys(own)) or [_shared_reference(folder, files, columns, paths, notes)]
+    if unnamed := sum(not _is_reference(path) for path in set(_pictures(files)) - {*paths, *references}):
+        notes.append(f"{unnamed} pictures have no row in the table: not read")
     if own:
         columns["reference_id"] = np.array([references.index(path) for path in own])
     frames = PictureFiles(folder, folder.name, columns, paths, references, [*tables, *references], notes)
@@ -322,9 +319,13 @@ def picture_paths(table: Path, names: Iterable[str]) -> list[Path]:
 
 def _file_of(table: Path, what: str, places: Sequence[str]) -> Path:
     """Return the first of some places in a table's folder that has a file, of what the table names."""
-    for place in places:
+    # Programs on a Mac write ä in two letters.
+    for place in (*places, *(normalize(form, place) for form in ("NFC", "NFD") for place in places)):
         if not stays_inside(place):
-            raise ValueError(f"{table} names {what}: pictures must lie in {table.parent}")
+            raise ValueError(
+                f"{table} names {what}: must be a path from {table.parent} to a picture in it, as "
+                f"{PurePosixPath(place).name}"
+            )
         if (path := table.parent / place).is_file():
             return path
     raise ValueError(

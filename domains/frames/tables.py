@@ -104,6 +104,10 @@ EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
 _LONGEST_LIKELY_STEP_S = 0.5
 _LARGEST_LIKELY_N = 150.0
 
+_COMMENTS = re.compile(r'\A(?:\s*"?(?:#|sep=).*\n)+')
+_SEPARATOR = re.compile("[,;\t]")
+_NUMBER = re.compile(r"[-+−]?(?:\d+|\d*([.,])\d+)(?:[eE][-+]?\d+)?")
+
 
 class _UnusableError(ValueError):
     """A column holds something else than its name says."""
@@ -113,7 +117,8 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     """Return the columns of a CSV table, (header, cells), without spaces around them.
 
     Tabs or semicolons separate its columns if the header has one, else commas. It is in UTF-8, or UTF-16 with a mark.
-    Comments above the header (`# …`, and Excel's `sep=;`) are skipped, and units in a row below it are put into it.
+    Comments (`# …`, and Excel's `sep=;`) are skipped, and units in a row below the header are put into it. Where
+    semicolons separate columns, decimal commas are read, unless there are decimal points too.
 
     Raises
     ------
@@ -130,7 +135,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         text = data.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if "\0" in text:
             raise csv.Error("it holds zero bytes, as UTF-16 without a mark does")
-        text = re.sub(r"\A(?:\s*(?:#|sep=).*\n)+", "", text)
+        text = _without_comments(text)
         separator = next((mark for mark in "\t;" if mark in text.partition("\n")[0]), ",")
         lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
         rows = [row for row in ([cell.strip() for cell in line] for line in lines) if any(row)]
@@ -139,6 +144,14 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     if len(rows) < 2:
         raise ValueError(f"{path} has no rows")
     header = rows.pop(0)
+    if len(header) == 1 and len(rows[0]) == 1 and re.search(r"[|\s][-+\d.]+$", rows[0][0]):
+        raise ValueError(
+            f"{path}: commas, semicolons or tabs must separate columns; its header is {quoted(header[0])}"
+        )
+    # A comment has another number of cells, or nothing but empty ones behind it.
+    rows = [row for row in rows if row[0][:1] != "#" or (len(row) == len(header) and any(row[1:] or row))]
+    if separator == ";":
+        rows = _with_decimal_points(rows)
     for number, row in enumerate(rows, 1):
         if len(row) < len(header) or any(row[len(header) :]):
             raise ValueError(
@@ -151,6 +164,26 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         ]
         del rows[0]
     return [(name, [row[place] for row in rows]) for place, name in enumerate(header)]
+
+
+def _without_comments(text: str) -> str:
+    """Return a table without the comments above its header, which itself may be one, as numpy.savetxt writes it."""
+    found = _COMMENTS.match(text)
+    if found is None:
+        return text
+    rows = text[found.end() :]
+    last = found[0].rstrip().rpartition("\n")[2].lstrip("#% ")
+    names, first = (_SEPARATOR.split(row) for row in (last, rows.partition("\n")[0]))
+    is_header = len(names) == len(first) > 1 and any(_NUMBER.fullmatch(cell.strip()) for cell in first)
+    return f"{last}\n{rows}" if is_header else rows
+
+
+def _with_decimal_points(rows: list[list[str]]) -> list[list[str]]:
+    """Return rows with points in numbers for decimal commas; as they are if some have points."""
+    numbers = [found for row in rows for cell in row if (found := _NUMBER.fullmatch(cell))]
+    if any(found[1] == "." for found in numbers):
+        return rows
+    return [[cell.replace(",", ".") if _NUMBER.fullmatch(cell) else cell for cell in row] for row in rows]
 
 
 def _row_of_units(row: list[str]) -> list[str] | None:

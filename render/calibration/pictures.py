@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from gelgap.assets.image_file import read_image
 from gelgap.assets.names import stays_inside
-from gelgap.assets.settings import Settings
+from gelgap.assets.settings import Settings, within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode
@@ -99,9 +99,9 @@ _NEEDED = (
 class PressList(Settings):
     """A list of presses, and perhaps the picture without contact, beside it, and how much of the gel a pixel shows."""
 
-    presses: tuple[ListedPress, ...]
+    presses: Annotated[tuple[ListedPress, ...], Field(min_length=1)]
     reference: Annotated[str, AfterValidator(_beside)] | None = None
-    mm_per_px: float | None = None
+    mm_per_px: Annotated[float, within(1e-3, 1.0, "mm")] | None = None
 
     def pictures(self, folder: Path) -> tuple[PressPicture, ...]:
         """Read the presses' pictures; raises ValueError for a press of another body than a ball, or without one."""
@@ -168,7 +168,8 @@ def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> Non
 def check_press(shape: tuple[int, ...], name: str, press: PressPicture) -> None:
     """Raise ValueError for a press whose picture has another shape, or whose depth, radius or ball cannot be."""
     height, width, _ = press.picture.shape
-    depth_mm, diameter_mm = press.depth_mm, press.sphere_diameter_mm
+    depth_mm, diameter_mm, reach = press.depth_mm, press.sphere_diameter_mm, press.radius_px or 0.0
+    x, y = press.center_px or (0.0, 0.0)
     if press.picture.shape != shape:
         wrong = (
             f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come "
@@ -184,6 +185,10 @@ def check_press(shape: tuple[int, ...], name: str, press: PressPicture) -> None:
         wrong = f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
     elif press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
         wrong = f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
+    elif not (-reach <= x <= width + reach and -reach <= y <= height + reach):
+        wrong = (
+            f": center_px is {press.center_px}, column and row; no such circle is seen in {width}×{height} px"
+        )
     elif not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
         wrong = f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
     else:

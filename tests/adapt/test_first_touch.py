@@ -125,6 +125,10 @@ def test_what_has_no_first_touch_is_refused_or_said(caplog):
     assert "drags: 8 of 8 contacts begin with a dent that is hardly smaller than it becomes" in caplog.text
     for without, message in (
         (trajectories(step=True), "drags has no column step: the input touch"),
+        (
+            frames.take(np.arange(56) // 2),
+            "drags has 2 rows of trajectory_id 0 and step 0: number trajectories",
+        ),
         (frames.take(frames.columns["step"] == 3), "input touch: each trajectory of drags has one frame"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -147,6 +147,12 @@ def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
     frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)), camera=camera)
     with pytest.raises(ValueError, match=f"input markers: .*{message}"):
         displacements(frames)
+    if "first: frame" not in message:  # else before anything is trained
+        marked = Profile.preset("smoke").replace(
+            input="markers", colour_mixing=0.0, image_size_px=frames.size_px
+        )
+        with pytest.raises(ValueError, match=f"input markers: .*{message}"):
+            size_notes(frames, frames, marked)
 
 
 @pytest.mark.parametrize(

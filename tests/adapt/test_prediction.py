@@ -138,6 +138,12 @@ def test_a_network_whose_weights_are_broken_is_noted_and_a_wrong_picture_named(s
     rest = np.zeros((32, 40, 3), np.uint8)
     (row,) = predict_each(broken, [("a.png", rest)], rest)
     assert row["note"].startswith("Fx is not a number; ")
+    colour = rest + np.uint8([0, 0, 9])
+    noted = [
+        "the reference is not" in row["note"]
+        for row in predict_each(stage1, [("a", rest), ("b", colour)], colour)
+    ]
+    assert noted == [True, False]
     with pytest.raises(ValueError, match=r"^b\.png: the picture is 40×64 px"):
         list(predict_each(stage1, [("b.png", np.zeros((64, 40, 3), np.uint8))], rest))
 

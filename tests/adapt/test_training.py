@@ -2,6 +2,7 @@
 
 import copy
 import re
+import resource
 from dataclasses import replace
 
 import numpy as np
@@ -173,6 +174,17 @@ def test_a_method_repeats_itself_without_a_look_at_target_labels(stage1, source,
     np.testing.assert_array_equal(honest, weights(adapt(stage1, source, lied, method, short)))
     assert np.isfinite(honest).all()
     assert np.any(honest != weights(stage1)) == (method != "source-only")
+
+
+def test_a_full_disk_is_named(source, profile, tmp_path):
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most[1]))
+    try:
+        with pytest.raises(RuntimeError, match=r"cannot write .*resume\.pt: File too large"):
+            train_source(source, profile, 0, resume_file=tmp_path / "resume.pt")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    assert not list(tmp_path.iterdir())
 
 
 def test_resumed_training_gives_the_same_bytes(source, profile, tmp_path):

@@ -1,6 +1,7 @@
 """`gelgap calibrate`: from files to a sensor file, with bad lists refused."""
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,3 +172,20 @@ def test_what_is_missing_beside_the_presses_is_said(
     with pytest.raises(SystemExit, match="2"):
         main(["calibrate", str(listed(tmp_path, "depth_mm = 0.6")), "-o", str(tmp_path / "fitted.toml")])
     assert "needs --reference" in capsys.readouterr().err
+
+
+def test_a_folder_that_takes_no_list_is_refused_before_anything_is_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "presses").mkdir()
+
+    def temporary_file(dir: Path) -> None:
+        if dir == tmp_path / "presses":
+            raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda dir: temporary_file(dir) or nullcontext())
+    monkeypatch.setattr("gelgap.domains.press_folder.mark_presses", lambda *_: pytest.fail("solved"))
+    given = ["--ball-mm", "3", "--mm-per-px", "0.05", "-o", str(tmp_path / "a.toml")]
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate", str(tmp_path / "presses"), *given])
+    assert "presses cannot be written to (Read-only file system)" in capsys.readouterr().err

@@ -13,7 +13,9 @@ from gelgap.domains.formats.convert import COLUMNS, write_picture_table
 
 
 def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
-    found = convert(write_recordings(tmp_path / "mine"), "recordings", tmp_path / "out")
+    mine = write_recordings(tmp_path / "mine")
+    (mine / "press-1.avi").rename(mine / "press-1.AVI")
+    found = convert(mine, "recordings", tmp_path / "out")
     assert [(clip.domain, clip.name, clip.lag) for clip in found] == [
         ("mine", "press-1", 3),
         ("mine", "press-2", 0),
@@ -48,6 +50,10 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
             "names the picture '7.png' in row 8 below the header, which is not there: expected 7.png",
         ),
         (lambda mine: (mine / "press-2/7.png").write_bytes(b"no"), "7.png is not readable"),
+        (
+            lambda mine: cv2.imwrite(str(mine / "press-2/7.png"), np.zeros((90, 120, 3), np.uint8)),
+            r"7\.png is 120×90 px, and 0\.png \d+×\d+ px: all must have one size",
+        ),
         (
             lambda mine: write_table(
                 mine / "press-1.csv", [{"time_s": k / 30, "fz_n": -0.7} for k in range(60)]

@@ -100,8 +100,8 @@ def test_a_folder_of_pictures_says_how_many_mm_a_pixel_shows(tmp_path: Path):
     assert not folder.notes
     (tmp_path / "sensor.toml").write_text("[camera]\nhorizontal_field_of_view_deg = 30.0\n")
     assert open_domain(tmp_path).take(np.array([1])).cameras[0] == Camera(horizontal_field_of_view_deg=30.0)
-    (tmp_path / "sensor.toml").write_text("mm_per_px = -1\n")
-    with pytest.raises(ValueError, match=r"sensor.toml: mm_per_px = -1: must be a number above 0"):
+    (tmp_path / "sensor.toml").write_text("mm_per_px = true\n")
+    with pytest.raises(ValueError, match=r"sensor.toml: mm_per_px = True: must be a number above 0"):
         open_domain(tmp_path).cameras  # noqa: B018
 
 

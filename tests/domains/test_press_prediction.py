@@ -86,7 +86,7 @@ def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("presses = []\n", "its presses are an empty list"),
+        ("presses = []\n", "presses = (): tuple should have at least 1 item"),
         (BOX + "depth_mm = 9.0\n", "press 1 (box): depth_mm = 9"),
         (BOX.replace("box", "bax") + "depth_mm = 0.3\n", "'bax'"),
         (BOX.replace("box", "none.toml") + "depth_mm = 0.3\n", "none.toml does not exist"),

@@ -131,7 +131,10 @@ def test_a_table_without_labels_is_an_unlabelled_domain(tmp_path: Path):
     data = open_domain(folder)
     assert known_labels(data.columns) == ()
     assert data.picture(0).mean() > data.picture(1).mean()
-    assert data.notes == ("columns that are not read: torque",)
+    assert data.notes == (
+        "columns that are not read: torque",
+        "1 pictures have no row in the table: not read",
+    )
 
 
 def test_a_folder_of_pictures_alone_is_an_unlabelled_domain(tmp_path: Path):
@@ -175,7 +178,11 @@ def picture_folder(folder: Path, text: str) -> Path:
     ("text", "problem"),
     [
         ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
-        ("picture;fz_n\n0.png;0\n1.png;-0,5\n", "row 2 below the header holds '-0,5'; write a decimal point"),
+        (
+            "picture;fx;fz\n0.png;.1;0\n1.png;.1;-0,5\n",
+            "row 2 below the header holds '-0,5'; write a decimal",
+        ),
+        ("picture fz_n\n0.png 0\n1.png -0.5\n", "tabs must separate columns; its header is 'picture fz_n'"),
         ("picture,fz_n\n0.png,0\n1.png,-0,5\n", "row 2 below the header has 3 cells, and the header 2"),
         ("picture,fz_n,fx\n0.png,0,0\n1.png,-0.5\n", "row 2 below the header has 2 cells, and the header 3"),
         ("picture,fz_n\n0.png,0\n,-0.5\n", "column 'picture': row 2 below the header holds nothing"),
@@ -277,11 +284,29 @@ def test_a_column_that_nobody_needs_is_skipped_and_said(tmp_path: Path):
         "sep=;\npicture;Fz (mN)\n0.png;0\n1.png;-500\n",
         "picture,Fz\n,[mN]\n0.png,0\n1.png,-500\n",
         "picture,Fz\n.\\0.png,0\n1.png,−0.5\n",
+        "# of today\n# picture,Fz\n0.png,0\n1.png,-0.5\n",
+        "picture,Fz\n0.png,0\n# second series\n1.png,-0.5\n",
+        "picture;Fz\n0.png;0\n# second series;\n1.png;-0,5\n;\n",
     ],
 )
 def test_what_programs_write_around_the_numbers_is_read(tmp_path: Path, text: str):
     picture_folder(tmp_path, text)
     assert open_domain(tmp_path).columns["fz_n"].tolist() == [0, -0.5]
+
+
+def test_a_table_of_tabs_and_names_of_another_system_are_read(tmp_path: Path):
+    for name in ("a\u0308.png", "b.png"):
+        picture(tmp_path / name, 60)
+    for name in ("~$labels.csv", "._labels.csv"):
+        (tmp_path / name).write_bytes(b"no table")
+    (tmp_path / "labels.tsv").write_text("picture\tFz\n\u00e4.png\t-1\nb.png\t0\n")
+    assert open_domain(tmp_path).columns["fz_n"].tolist() == [-1, 0]
+
+
+@pytest.mark.parametrize("name", ["/data/0.png", "C:\\data\\0.png", "../0.png"])
+def test_a_picture_is_named_from_its_folder(tmp_path: Path, name: str):
+    with pytest.raises(ValueError, match=r"must be a path from .* to a picture in it, as 0\.png"):
+        open_domain(picture_folder(tmp_path, f"picture,fz_n\n{name},0\n"))
 
 
 def test_pictures_saved_twice_are_counted(tmp_path: Path):

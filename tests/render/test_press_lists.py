@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.render.calibration.pictures import read_presses
+from gelgap.render.calibration.pictures import check_presses, read_presses
 
 
 def listed(folder: Path, text: str) -> Path:
@@ -63,3 +63,25 @@ def test_a_picture_elsewhere_is_refused(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("p.png", "../p.png"))
     with pytest.raises(ValueError, match=r"picture = '\.\./p\.png': must lie in the folder of the list"):
         read_presses(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("presses = []", r"presses = \(\): tuple should have at least 1 item"),
+        ("mm_per_px = 0", r"mm_per_px = 0: must lie in \[0\.001, 1\] mm"),
+    ],
+)
+def test_an_empty_list_and_a_scale_that_cannot_be_are_refused(
+    tmp_path: Path, text: str, problem: str
+) -> None:
+    path = listed(tmp_path, "depth_mm = 0.6")
+    path.write_text(text if "[]" in text else f"{text}\n{path.read_text()}")
+    with pytest.raises(ValueError, match=problem):
+        read_presses(path)
+
+
+def test_marks_of_a_larger_picture_are_refused(tmp_path: Path) -> None:
+    presses = read_presses(listed(tmp_path, "radius_px = 6\ncenter_px = [39, 12]"))
+    with pytest.raises(ValueError, match=r"center_px is \(39\.0, 12\.0\), .* no such circle .* 32×24 px"):
+        check_presses(np.full((24, 32, 3), 90, np.uint8), presses)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -30,13 +31,19 @@ def test_the_grid_reaches_as_far_as_it_must_on_the_same_points() -> None:
     assert grid_axes((7.03, 5.5))[0][-1] == pytest.approx(7.1)
 
 
-def test_a_saved_state_comes_back(tmp_path: Path) -> None:
+def test_a_saved_state_comes_back_and_outlives_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flat = MembraneState.untouched(*grid_axes())
     displacement = np.random.default_rng(0).normal(size=flat.displacement_mm.shape).astype(np.float32)
     state = MembraneState(
         flat.x_mm, flat.y_mm, displacement, displacement[..., 0] > 1, np.array([0.1, 0.2, -1.0]), 0.7, False
     )
     state.save(tmp_path / "state.npz")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", mock.Mock(side_effect=OSError("a full disk")))
+        with pytest.raises(RuntimeError, match=r"cannot write .*: a full disk"):
+            replace(state, force_n=np.ones(3)).save(tmp_path / "state.npz")
     loaded = MembraneState.load(tmp_path / "state.npz")
     for name in ("x_mm", "y_mm", "displacement_mm", "contact", "force_n"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(state, name))

@@ -116,7 +116,9 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
     ("values", "fields", "message"),
     [
         (np.ones((20, 20)), {"spacing_mm": 0.1}, "is empty: its heights differ by 0 µm"),
-        (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "hold NaN"),
+        (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "holds NaN or inf, .* write −inf where nothing is"),
+        (np.eye(20), {"spacing_mm": "0.1"}, "spacing_mm = '0.1': a height map needs it"),
+        (np.eye(20), {"spacing_mm": 0.1, "edge_radius_mm": "0.1"}, "edge_radius_mm = '0.1': input should be"),
         (np.eye(20), {}, "spacing_mm = None: a height map needs it"),
         (np.eye(20), {"spacing_mm": 0.1, "step_mm": -1.0}, "step_mm = -1.0: a height map needs it"),
         (np.zeros(20), {"spacing_mm": 0.1}, "must be 3 to"),
@@ -131,6 +133,28 @@ def test_what_is_no_height_map_is_refused(
     np.save(tmp_path / "map.npy", values)
     with pytest.raises(ValueError, match=message):
         load_indenter(str(tmp_path / "map.npy"), **fields)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.toml", b"shape = ['sphere']", r"shape = \['sphere'\]: must be a name in quotes"),
+        (
+            "a.toml",
+            b"object = 'nut'\nedge_radius_mm = '1'",
+            "edge_radius_mm = '1': input should be a valid number",
+        ),
+        ("a.toml", b"map = 'a.csv'\nspacing_mm = 0.1", r"a\.csv': a height map's name ends in \.npy, \.png"),
+        ("a.npy", b"PK\3\4", "is not a .npy file of numbers"),
+        ("a.png", cv2.imencode(".png", np.eye(20)[..., None] * [9, 9, 9, 9])[1].tobytes(), "are transparent"),
+    ],
+)
+def test_files_that_are_no_bodies_are_refused(tmp_path: Path, name: str, text: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(text)
+    with pytest.raises(ValueError, match=message):
+        load_indenter(
+            str(tmp_path / name), **({} if name == "a.toml" else {"spacing_mm": 0.1, "step_mm": 0.1})
+        )
 
 
 def test_what_is_thinner_than_its_rounding_is_refused() -> None:
