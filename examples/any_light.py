@@ -121,7 +121,8 @@ class LitSensor:
 
     def contacts(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return inputs (n, 11, h, w) and true slopes (n, 2, h, w) cut out around drawn dents, and forces (n, 3), N."""
-        inputs, slopes, forces_n = [], [], []
+        inputs: list[np.ndarray] = []
+        slopes, forces_n = [], []
         while len(inputs) < n:
             depth_mm = self.rng.uniform(RANGES.shallowest_mm, RANGES.deepest_mm)
             travel_mm, angle = self.rng.uniform(0, RANGES.travel_mm), self.rng.uniform(0, 2 * np.pi)
