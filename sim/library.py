@@ -345,8 +345,7 @@ class PoseLibrary:
         if axes_mm is None:
             axes_mm = grid_axes(covered_extent_mm(elastomer, indenter, pose, half_extent_mm))
         if pose.depth_mm == 0:
-            flat = MembraneState.untouched(*axes_mm)
-            return LibraryPose(*axes_mm, flat.displacement_mm, flat.contact, flat.force_n)
+            return LibraryPose.untouched(*axes_mm)
         near = _Neighbours(self, pose)
         displacement_mm = near.field(self.displacement_mm, axes_mm)
         x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
