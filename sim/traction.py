@@ -82,7 +82,7 @@ class Traction:
         row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
         cell = (row * columns + column).astype(int).ravel()
         sums = [np.bincount(cell, own, rows * columns) for own in self.cell_force_n.reshape(-1, 3).T]
-        return np.stack(sums, axis=-1).reshape(rows, columns, 3)
+        return np.stack(sums, axis=-1).reshape(rows, columns, 3).astype(float)
 
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm, traction_mpa, area_mm2, normal_mpa, tangential_mpa and coarse_n."""
