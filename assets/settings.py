@@ -32,7 +32,7 @@ class Settings(BaseModel):
     def _plain(cls, value: Any) -> Any:
         return _plain_value(value)
 
-    __repr__ = one_line
+    __repr__ = __str__ = one_line
 
     def __init__(self, /, **values: Any) -> None:
         try:

@@ -36,11 +36,11 @@ def read_toml(path: Path | str) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def named_in_errors(path: Path | str) -> Iterator[None]:
-    """Put the file's name in front of a ValueError about what it holds, unless it is there."""
+def named_in_errors(what: Path | str) -> Iterator[None]:
+    """Put the name of a file, or of something else, in front of a ValueError about it, unless it is there."""
     try:
         yield
     except ValueError as error:
-        if str(path) in str(error):
+        if str(what) in str(error):
             raise
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{what}: {error}") from None

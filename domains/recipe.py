@@ -170,16 +170,12 @@ class DomainRecipe(Settings):
     )
 
     @model_validator(mode="after")
-    def _check_library(self) -> "DomainRecipe":
+    def _check(self) -> "DomainRecipe":
         if self.interpolated and not self._has_what_a_library_serves:
             raise ValueError(
                 "interpolated = true: a library of poses serves one indenter whose directions are alike, and has no "
                 "tractions; solve each pose"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _check_markers(self) -> "DomainRecipe":
         self.sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
         return self
 
@@ -267,11 +263,6 @@ def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, An
             yield from differences(one.get(key), other.get(key), f"{field}.{key}" if field else str(key))
     elif one != other:
         yield field, one, other
-
-
-def differing_fields(one: Any, other: Any) -> list[str]:
-    """Return the dotted names of the fields in which two configurations differ."""
-    return [name for name, _, _ in differences(one, other)]
 
 
 def make_recipes(

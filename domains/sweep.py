@@ -16,7 +16,7 @@ from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
-from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
+from gelgap.domains.recipe import DomainRecipe, differences, make_recipes, read_with_path
 from gelgap.render import Markers, Variation, vary_illumination, vary_sensor
 from gelgap.render.renderer import reference_gap
 
@@ -211,7 +211,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         colour_difference=round(colours.mean, 3),
         colour_difference_p95=round(colours.percentile_95, 3),
         markers="equal" if before == after else changed,
-        fields=tuple(differing_fields(base.configuration(), other.configuration())),
+        fields=tuple(name for name, _, _ in differences(base.configuration(), other.configuration())),
     )
 
 

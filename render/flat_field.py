@@ -20,7 +20,7 @@ from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
-from gelgap.render.light.scattered import PLACES, places
+from gelgap.render.light.scattered import EVERYWHERE, PLACES, Scale, Span, places
 from gelgap.render.surface import Surface
 
 LOADED_BOUNDS = (0.25, 4.0)
@@ -43,11 +43,8 @@ class FlatField(Settings):
         description="by channel: relative level by 1, x, y, x², xy, y² of the dent's place",
     )
     volume_mm3: float = Field(default=1.0, gt=0, le=1e5, description="volume of the calibration's dents")
-    span_mm: tuple[float, float, float, float] = Field(
-        default=(-100.0, 100.0, -100.0, 100.0),
-        description="x from, to, y from, to: the place is held at its edges",
-    )
-    scale_mm: float = Field(default=10.0, gt=0.1, le=1000, description="length that x and y are divided by")
+    span_mm: Span = EVERYWHERE
+    scale_mm: Scale = 10.0
 
     @field_serializer("file", when_used="json")
     def _name(self, file: str) -> str:

@@ -218,10 +218,7 @@ class Rasterizer:
         framebuffer = gl.glGenFramebuffers(1)
         buffers = gl.glGenRenderbuffers(2)
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
-        formats = (
-            (gl.GL_RG32F, gl.GL_COLOR_ATTACHMENT0),
-            (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT),
-        )
+        formats = ((gl.GL_RG32F, gl.GL_COLOR_ATTACHMENT0), (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT))
         for buffer, (storage, attachment) in zip(buffers, formats, strict=True):
             gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, buffer)
             gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, storage, width, height)

@@ -15,7 +15,7 @@ from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.markers import marker_cells, paint_markers
 from gelgap.render.normal_table import NormalTable, TableShare
-from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
+from gelgap.render.rasterizer import NOWHERE_MM, rasterizer_for
 from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
@@ -156,10 +156,8 @@ class MembraneRenderer:
 
     def _geometry(self, surface: Surface) -> np.ndarray:
         positions = np.ascontiguousarray(surface.positions_mm[::RASTER_STEP, ::RASTER_STEP])
-        return self._rasterizer().geometry(positions)
-
-    def _rasterizer(self) -> Rasterizer:
-        return rasterizer_for(self.sensor.camera, self.lattice.every(RASTER_STEP), self.size_px)
+        lattice = self.lattice.every(RASTER_STEP)
+        return rasterizer_for(self.sensor.camera, lattice, self.size_px).geometry(positions)
 
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""

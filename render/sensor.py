@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -123,10 +122,6 @@ class Markers(PresetSettings):
         if self.positions_mm:
             absent.update(_GRID)
         return {name: value for name, value in dump(self).items() if name not in absent}
-
-    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
-        for name, value in self.model_dump().items():
-            yield name, len(value) if name == "positions_mm" else value
 
     @property
     def spacing_mm(self) -> float:
@@ -254,12 +249,6 @@ class Sensor(PresetSettings):
                 f"table_share = {self.table_share:g} must be 0 without normal_table and flat_field"
             )
         return self
-
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        yield None, self.name
-        yield "width_mm", round(self.camera.footprint_mm((1, 1))[0], 2)
-        yield "markers", self.markers.layout
-        yield "illumination", self.illumination
 
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:

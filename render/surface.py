@@ -329,10 +329,6 @@ def deformed_surface(lattice: Lattice, displacement_mm: np.ndarray, name: str) -
     """
     columns_mm, rows_mm = lattice.x_mm.astype(np.float32), lattice.y_mm.astype(np.float32)
     positions = np.empty((lattice.rows, lattice.columns, 3), np.float32)
-    if displacement_mm.shape != positions.shape:
-        raise ValueError(
-            f"{name}: the displacement has shape {displacement_mm.shape}, the lattice {positions.shape}"
-        )
     positions[:] = displacement_mm
     positions[..., 0] = displacement_mm[..., 0] + lattice.x_mm
     positions[..., 1] = displacement_mm[..., 1] + lattice.y_mm[:, None]

@@ -203,31 +203,21 @@ def _chains(ends: Ints, edges: Ints) -> tuple[Ints, Ints]:
 
     `ends` (n, 2) are the nodes of all edges.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     used = ends[edges]
-    times = np.bincount(used.ravel())
+    inner = np.bincount(used.ravel())[used] == 2
+    # At a node within a chain two edges meet.
+    by_node = np.argsort(used[inner], kind="stable")
+    first, second = np.nonzero(inner)[0][by_node].reshape(-1, 2).T
+    joined = coo_array((np.ones(len(first)), (first, second)), shape=(len(edges), len(edges)))
+    of_edge = connected_components(joined, directed=False)[1]
     chain = np.full(len(ends), -1)
-    whole = (times[used] != 2).all(axis=1)
-    chain[edges[whole]] = np.arange(whole.sum())
-    chain_ends = used[whole].tolist()
-    at_node: dict[int, list[int]] = {}
-    for edge in edges[~whole].tolist():
-        for node in ends[edge].tolist():
-            at_node.setdefault(node, []).append(edge)
-    for edge in edges[~whole].tolist():
-        if chain[edge] >= 0:
-            continue
-        chain[edge], way = len(chain_ends), []
-        for node in ends[edge].tolist():
-            last = edge
-            while times[node] == 2:
-                last = next(other for other in at_node[node] if other != last)
-                if chain[last] >= 0:
-                    break
-                chain[last] = len(chain_ends)
-                node = int(ends[last].sum()) - node
-            way.append(node)
-        chain_ends.append(way)
-    return chain, np.array(chain_ends)
+    chain[edges] = of_edge
+    edge, side = np.nonzero(~inner)
+    by_chain = np.argsort(of_edge[edge], kind="stable")
+    return chain, used[edge, side][by_chain].reshape(-1, 2)
 
 
 def _centres(points: Floats, edges: Ints, face: Ints) -> Floats:

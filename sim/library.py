@@ -82,10 +82,8 @@ class PoseRanges:
     @classmethod
     def of(cls, poses: Sequence[Pose], reach_mm: tuple[float, float, float] | None = None) -> "PoseRanges":
         """Return the ranges of poses, of which one at least makes contact, and of shallowest, deepest and farthest."""
-        depths, travels = (
-            [pose.depth_mm for pose in poses if pose.depth_mm > 0],
-            [pose.radius_mm for pose in poses],
-        )
+        depths = [pose.depth_mm for pose in poses if pose.depth_mm > 0]
+        travels = [pose.radius_mm for pose in poses]
         if reach_mm:
             depths, travels = [*depths, *reach_mm[:2]], [*travels, reach_mm[2]]
         return cls(min(depths), max(depths), max(travels))
@@ -347,8 +345,7 @@ class PoseLibrary:
         if axes_mm is None:
             axes_mm = grid_axes(covered_extent_mm(elastomer, indenter, pose, half_extent_mm))
         if pose.depth_mm == 0:
-            flat = MembraneState.untouched(*axes_mm)
-            return LibraryPose(*axes_mm, flat.displacement_mm, flat.contact, flat.force_n)
+            return LibraryPose.untouched(*axes_mm)
         near = _Neighbours(self, pose)
         displacement_mm = near.field(self.displacement_mm, axes_mm)
         x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
@@ -536,13 +533,7 @@ def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
             distance = min(math.sqrt(along * along + across * across), radius_mm[rows - 1] - 1e-6)
             low = min(int(distance * fine), rows - 2)
             if distance > radius_mm[low + 1] or distance < radius_mm[low]:  # beyond the evenly spaced rows
-                low, high = 0, rows - 1
-                while high - low > 1:
-                    middle = (low + high) // 2
-                    if radius_mm[middle] <= distance:
-                        low = middle
-                    else:
-                        high = middle
+                low = np.searchsorted(radius_mm, distance, side="right") - 1
             out_share = (distance - radius_mm[low]) / (radius_mm[low + 1] - radius_mm[low])
             place = abs(math.atan2(across, along)) / math.pi * (columns - 1)
             left = min(int(place), columns - 2)

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,12 +119,12 @@ class MembraneState:
         found = self.diagnostics
         return Errors(np.array(found.force_error_n), found.contact_radius_error_mm, found.membrane_error_mm)
 
-    @staticmethod
-    def untouched(x_mm: Floats, y_mm: Floats) -> "MembraneState":
-        """Return the undeformed membrane, without contact, on a grid's axes."""
+    @classmethod
+    def untouched(cls, x_mm: Floats, y_mm: Floats, **fields: Any) -> Self:
+        """Return the undeformed membrane, without contact, on a grid's axes; `fields` are those of a subclass."""
         shape = (len(y_mm), len(x_mm))
         displacement_mm, contact = np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool)
-        return MembraneState(x_mm, y_mm, displacement_mm, contact, np.zeros(3))
+        return cls(x_mm, y_mm, displacement_mm, contact, np.zeros(3), **fields)
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
@@ -201,10 +201,7 @@ def is_folded(x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]) 
 
 
 def press_onto(
-    indenter: Indenter,
-    rest_mm: Floats,
-    displacement_mm: NDArray[np.floating],
-    origin_mm: Floats,
+    indenter: Indenter, rest_mm: Floats, displacement_mm: NDArray[np.floating], origin_mm: Floats
 ) -> NDArray[np.bool_]:
     """Move points that touch the indenter, whose origin is at `origin_mm` (3,), onto its surface; return which do (…).
 

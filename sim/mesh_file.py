@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from gelgap.assets.toml_file import named_in_errors
 from gelgap.sim.indenter import Floats
 from gelgap.sim.rounded import from_triangles
 
@@ -56,8 +57,8 @@ def convex_part(
     """
     from scipy.spatial import QhullError
 
+    mesh = _standing(path, unit, flip)
     try:
-        mesh = _standing(path, unit, flip)
         # Trimesh divides by the volume, which a flat body has not.
         with np.errstate(divide="ignore", invalid="ignore"):
             return _part(mesh, path.name, edge_radius_mm)
@@ -72,10 +73,7 @@ def lower_end(path: Path, unit: MeshUnit | None, flip: bool, most_mm: float) -> 
 
     The lowest lies at z = 0, and the middle of what lies there on the axis. Errors are those of `convex_part`.
     """
-    try:
-        mesh = _standing(path, unit, flip)
-    except ValueError as error:
-        raise ValueError(f"indenter = {str(path)!r}: {error}") from None
+    mesh = _standing(path, unit, flip)
     height_mm = float(mesh.extents[2])
     lowest = mesh.vertices[mesh.vertices[:, 2] < SAME_MM]
     mesh.vertices[:, :2] -= (lowest[:, :2].min(axis=0) + lowest[:, :2].max(axis=0)) / 2
@@ -84,17 +82,15 @@ def lower_end(path: Path, unit: MeshUnit | None, flip: bool, most_mm: float) -> 
 
 def has_sharp_edges(path: Path, unit: MeshUnit | None = None, flip: bool = False) -> bool:
     """Return whether a mesh file has sharp edges in its lower half. Errors are those of `convex_part`."""
-    try:
-        mesh = _standing(path, unit, flip)
-    except ValueError as error:
-        raise ValueError(f"indenter = {str(path)!r}: {error}") from None
+    mesh = _standing(path, unit, flip)
     lowest_mm = mesh.vertices[mesh.face_adjacency_edges, 2].min(axis=1)
     is_sharp = mesh.face_adjacency_angles > np.radians(_SHARP_DEG)
     return bool((is_sharp & (lowest_mm < mesh.extents[2] / 2)).any())
 
 
 def _standing(path: Path, unit: MeshUnit | None, flip: bool) -> "Trimesh":
-    mesh = _read(path, unit)
+    with named_in_errors(f"indenter = {str(path)!r}"):
+        mesh = _read(path, unit)
     if flip:
         mesh.vertices *= [1, -1, -1]
     mesh.vertices[:, 2] -= mesh.bounds[0, 2]
@@ -149,8 +145,7 @@ def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Fl
     convex_mm, part, above = _convex_mm(mesh), mesh, np.zeros((0, 3))
     if convex_mm < mesh.extents[2]:
         part = _below(mesh, convex_mm)
-        above = mesh.vertices[mesh.vertices[:, 2] > convex_mm - _JUST_BELOW_MM]
-        above = _extreme(above)
+        above = _extreme(mesh.vertices[mesh.vertices[:, 2] > convex_mm - _JUST_BELOW_MM])
     if part.convex_hull.volume < _FLAT_SHARE * convex_mm**3:
         raise ValueError("is flat where it touches the gel")
     corners = np.array(part.convex_hull.vertices)

@@ -268,13 +268,9 @@ class CanonicalFrame:
         turn[:2, :2] = self.to_sensor
         return turn
 
-    def on_sensor(self, vector: Floats) -> Floats:
-        """Return a vector (3,) of this frame, such as a force, in the sensor's."""
-        return self.to_sensor_3d @ vector
-
-    def field_on_sensor(self, field: Floats) -> Floats:
-        """Return a field (…, 3) of vectors of this frame in the sensor's."""
-        return (field.reshape(-1, 3) @ self.to_sensor_3d.T).reshape(field.shape)
+    def on_sensor(self, vectors: Floats) -> Floats:
+        """Return vectors (…, 3) of this frame, a force or a field, in the sensor's."""
+        return (vectors.reshape(-1, 3) @ self.to_sensor_3d.T).reshape(vectors.shape)
 
     def torque_on_sensor(self, torque: Floats) -> Floats:
         """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ class SolvedPose(MembraneState):
         own, stress_mpa = self.contact_solve, np.zeros((*self.contact.shape, 3))
         if own.placement is not None:
             per_modulus = own.around(traction_table(own.solution, own.record), self)
-            stress_mpa = own.placement.frame.field_on_sensor(per_modulus * own.modulus_ratio)
+            stress_mpa = own.placement.frame.on_sensor(per_modulus * own.modulus_ratio)
         return balanced_traction(self, (own.pose.point_x_mm, own.pose.point_y_mm), stress_mpa)
 
     def slip(self) -> Slip:
@@ -125,10 +126,7 @@ class ContactSolve:
         extent_mm = covered_extent_mm(self.elastomer, indenter, self.pose, half_extent_mm)
         x_mm, y_mm = grid_axes(extent_mm)
         if placement is None:
-            flat = MembraneState.untouched(x_mm, y_mm)
-            return SolvedPose(
-                x_mm, y_mm, flat.displacement_mm, flat.contact, flat.force_n, contact_solve=self
-            )
+            return SolvedPose.untouched(x_mm, y_mm, contact_solve=self)
         record, ratio = self.record, self.modulus_ratio
         between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
         rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
@@ -148,7 +146,7 @@ class ContactSolve:
             displacement_mm[contact] += filled_mm
             force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
             found = with_fill(found, filled_mm, force_n, depth_mm, self.solution.problem.quality.name)
-        displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
+        displacement_mm = placement.frame.on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(x_mm, y_mm, displacement_mm)
         return SolvedPose(
             x_mm,
@@ -182,11 +180,8 @@ class ContactSolve:
         problem = self.solution.problem
         leans = problem.commands[:, [0, 1, 3, 4, 5]].any(axis=1)
         # The way begins straight down.
-        press, *others = problem.way(self.placement.record)
-        for waypoint in others:
-            if leans[waypoint]:
-                break
-            press = waypoint
+        first, *others = problem.way(self.placement.record)
+        *_, press = first, *takewhile(lambda waypoint: not leans[waypoint], others)
         depth_mm = -problem.waypoints_mm[press][2]
         if depth_mm == 0:
             raise ValueError("depth_mm = 0 on the way to this pose: a pose without contact has no slip")

@@ -4,7 +4,7 @@ The stress is that of the vertices' contact forces over their shares of the defo
 loses of the force and the torque is given back where the stress is, so that the map's integrals are the labels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -82,10 +82,8 @@ class Traction:
         column = np.floor((place[..., 0] / half_extent_mm[0] + 1) / 2 * columns).clip(0, columns - 1)
         row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
         cell = (row * columns + column).astype(int).ravel()
-        force = self.cell_force_n.reshape(-1, 3)
-        sums = np.zeros((rows * columns, 3))
-        np.add.at(sums, cell, force)
-        return sums.reshape(rows, columns, 3)
+        sums = [np.bincount(cell, own, rows * columns) for own in self.cell_force_n.reshape(-1, 3).T]
+        return np.stack(sums, axis=-1).reshape(rows, columns, 3).astype(float)
 
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm, traction_mpa, area_mm2, normal_mpa, tangential_mpa and coarse_n."""
@@ -98,14 +96,14 @@ class Traction:
 
 
 def balanced_traction(state: MembraneState, point_mm: tuple[float, float], traction_mpa: Floats) -> Traction:
-    """Return a state's contact stress (ny, nx, 3), changed so that its integrals are the state's force and torque."""
+    """Return a state's contact stress (ny, nx, 3), changed so that its integrals are the state's force and torque.
+
+    What is added is |t| (a + b × x), with a and b constant.
+    """
     area_mm2 = np.linalg.norm(_area_vectors_mm2(state.places_mm), axis=-1)
     found = Traction(state, point_mm, traction_mpa, area_mm2, 0.0)
-    return _balanced(found) if traction_mpa.any() else found
-
-
-def _balanced(found: Traction) -> Traction:
-    """Add to a map what makes its integrals the state's force and torque: |t| (a + b × x), with a and b constant."""
+    if not traction_mpa.any():
+        return found
     weight = np.linalg.norm(found.traction_mpa, axis=-1)
     touched = np.nonzero(weight > 0)
     weight, place, area = weight[touched], found.places_mm[touched], found.area_mm2[touched]
@@ -122,7 +120,7 @@ def _balanced(found: Traction) -> Traction:
     traction = found.traction_mpa.copy()
     traction[touched] += added
     share = np.abs(added).sum() / max(np.abs(traction).sum(), 1e-300)
-    return Traction(found.state, found.point_mm, traction, found.area_mm2, float(share))
+    return replace(found, traction_mpa=traction, correction=float(share))
 
 
 def _area_vectors_mm2(places_mm: Floats) -> Floats:

@@ -6,15 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.render import (
-    Camera,
-    Illumination,
-    Led,
-    MembraneRenderer,
-    RgbSpectrum,
-    Sensor,
-    encode,
-)
+from gelgap.render import Camera, Illumination, Led, MembraneRenderer, RgbSpectrum, Sensor, encode
 from gelgap.render.imaging import picture_gap, srgb_decode
 from gelgap.sim import MembraneState
 from gelgap.sim.problem import QualityName
@@ -87,8 +79,7 @@ class PictureMaker:
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
     """Return the linear camera RGB of a spectrum at drive 1 and exposure 1."""
     lone = Led(position_mm=(0.0, 0.0, -10.0), spectrum=spectrum)
-    red, green, blue = Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure
-    return float(red), float(green), float(blue)
+    return tuple((Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure).tolist())
 
 
 def swatch(led: Led) -> Rgb:

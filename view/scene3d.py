@@ -12,14 +12,7 @@ from viser import transforms
 
 from gelgap.render import Illumination, Led
 from gelgap.sim.shapes import AnyIndenter
-from gelgap.view.meshes import (
-    Colouring,
-    coloured_mesh,
-    glb,
-    indenter_centre_mm,
-    indenter_mesh,
-    membrane_mesh,
-)
+from gelgap.view.meshes import Colouring, coloured_mesh, glb, indenter_centre_mm, indenter_mesh, membrane_mesh
 from gelgap.view.pictures import swatch
 from gelgap.view.state import Shown
 

@@ -39,22 +39,6 @@ def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
     return (source + target) / 2
 
 
-def make_discriminator(inputs: int, hidden: int) -> nn.Module:
-    """Return a discriminator with two hidden layers that gives a logit of "source" (B, 1).
-
-    Source and target come as one batch, whose statistics standardise its input: a batch normalisation of each domain by
-    itself would remove the very shift that it should see.
-    """
-    return nn.Sequential(
-        nn.BatchNorm1d(inputs, affine=False),
-        nn.Linear(inputs, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, 1),
-    )
-
-
 class DANN(Method):
     """Regression with a domain-adversarial loss on the transfer feature.
 
@@ -66,7 +50,17 @@ class DANN(Method):
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__(settings, feature_dim, n_classes, n_labels)
-        self.discriminator = make_discriminator(self.discriminator_inputs, settings.hidden)
+        inputs, hidden = self.discriminator_inputs, settings.hidden
+        # It gives a logit of "source" (B, 1). Both domains come as one batch, whose statistics standardise its input: a
+        # batch normalisation of each by itself would remove the very shift that it should see.
+        self.discriminator = nn.Sequential(
+            nn.BatchNorm1d(inputs, affine=False),
+            nn.Linear(inputs, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, 1),
+        )
 
     @property
     def discriminator_inputs(self) -> int:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from gelgap.adapt.own_code import code_sha256, imported
 from gelgap.assets.names import unknown_name
+from gelgap.assets.toml_file import named_in_errors
 
 if TYPE_CHECKING:
     from gelgap.adapt.methods.base import Method, MethodSettings
@@ -118,10 +119,8 @@ def method_settings(name: str, profile: "Profile") -> "MethodSettings":
         If there is no such method, or the profile gives it a setting that it cannot have.
     """
     settings = find_method(name).Settings
-    try:
+    with named_in_errors(f"settings of method {name}"):
         return settings(**profile.settings.get(name, {}))
-    except ValueError as error:
-        raise ValueError(f"settings of method {name}: {error}") from error
 
 
 def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3, seed: int = 0) -> "Method":

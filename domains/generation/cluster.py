@@ -164,8 +164,6 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     ------
     RuntimeError
         If nothing answers at the address, or a local cluster does not start in time.
-    ValueError
-        If this is no address, or a number of workers is given for a cluster that is already there.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -174,9 +172,7 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     for name in tuple(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-    check_scheduler(scheduler, workers)
     if scheduler is not None:
-        check_answers(scheduler)
         try:
             client = Client(scheduler, timeout=CONNECTION_TIMEOUT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

@@ -93,14 +93,10 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     ]
 
 
-@lru_cache(maxsize=1)
-def _paper_renderer() -> MembraneRenderer:
-    return MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
-
-
 def paper_picture(state: MembraneState) -> np.ndarray:
     """Return the picture (h, w, 3) of the paper's sensor in the light i0, by which a library's error is judged."""
-    return _paper_renderer().picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
+    renderer = _renderer(Sensor.preset("paper"), Illumination.preset("i0"))
+    return renderer.picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
 def _shard(
@@ -129,10 +125,7 @@ def _shard(
 
 
 def picture_cells(
-    recipes: Sequence[DomainRecipe],
-    frame: int,
-    state: MembraneState,
-    coarse_n: np.ndarray | None = None,
+    recipes: Sequence[DomainRecipe], frame: int, state: MembraneState, coarse_n: np.ndarray | None = None
 ) -> list[dict[str, Any]]:
     """Return the picture columns of one contact for recipes that share their pictures, rendered once."""
     first = recipes[0]

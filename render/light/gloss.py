@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.light.irradiance import GENTLE_NORMAL, DirectLight
+from gelgap.render.light.irradiance import GAUSS_NODES, GAUSS_WEIGHTS, GENTLE_NORMAL, DirectLight
 from gelgap.render.light.leds import LedSamples
 from gelgap.render.light.occlusion import vertex_at
 from gelgap.render.surface import Surface
@@ -214,8 +214,6 @@ def _open_gloss(vertex, camera_mm, coat, nodes, led):
 def _partial_gloss(vertex, camera_mm, coat, strips, parts):
     """Return base and highlight from the visible parts of an LED's strips."""
     one, zero = np.float32(1), np.float32(0)
-    gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
-    weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
     view = view_from(vertex, camera_mm)
     if view.cosine <= zero:
         return zero, zero
@@ -230,17 +228,17 @@ def _partial_gloss(vertex, camera_mm, coat, strips, parts):
             continue
         ex, ey, ez = strip.high_x - strip.low_x, strip.high_y - strip.low_y, strip.high_z - strip.low_z
         for g in range(3):
-            w = s0 + (s1 - s0) * gauss[g]
+            w = s0 + (s1 - s0) * GAUSS_NODES[g]
             qx, qy, qz = strip.low_x + w * ex - px, strip.low_y + w * ey - py, strip.low_z + w * ez - pz
             r2 = qx * qx + qy * qy + qz * qz
             inverse = one / np.sqrt(r2)
             cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
             area = strip.area
             if strip.is_point:
-                solid_angle = weight[g] * area / r2
+                solid_angle = GAUSS_WEIGHTS[g] * area / r2
             else:
                 away = -(strip.normal_x * qx + strip.normal_y * qy + strip.normal_z * qz) * inverse
-                solid_angle = weight[g] * (s1 - s0) * area * away / r2
+                solid_angle = GAUSS_WEIGHTS[g] * (s1 - s0) * area * away / r2
             if cosine_in <= zero or solid_angle <= zero:
                 continue
             in_dot_out = (qx * view.x + qy * view.y + qz * view.z) * inverse

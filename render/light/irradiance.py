@@ -18,6 +18,9 @@ from gelgap.render.surface import Surface
 GENTLE_NORMAL = 0.9994
 # The visible share of a partly hidden LED stays below 1, which says that it is in full view.
 SHADED = np.float32(0.99999)
+# Gauss' rule along the visible part of a strip, in shares of it.
+GAUSS_NODES = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
+GAUSS_WEIGHTS = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
 
 
 class DirectLight(NamedTuple):
@@ -64,8 +67,6 @@ def _open_irradiance(vertex, leds, led):
 def _partial_irradiance(vertex, strips, parts):
     """Return the irradiance from the visible parts of an LED's strips."""
     zero = np.float32(0)
-    gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
-    weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
     total = zero
@@ -83,11 +84,11 @@ def _partial_irradiance(vertex, strips, parts):
         ex, ey, ez = strip.high_x - strip.low_x, strip.high_y - strip.low_y, strip.high_z - strip.low_z
         part = zero
         for g in range(3):
-            w = s0 + (s1 - s0) * gauss[g]
+            w = s0 + (s1 - s0) * GAUSS_NODES[g]
             qx, qy, qz = ax + w * ex, ay + w * ey, az + w * ez
             r2 = qx * qx + qy * qy + qz * qz
             away = -(strip.normal_x * qx + strip.normal_y * qy + strip.normal_z * qz)
-            part += weight[g] * max(nx * qx + ny * qy + nz * qz, zero) * max(away, zero) / (r2 * r2)
+            part += GAUSS_WEIGHTS[g] * max(nx * qx + ny * qy + nz * qz, zero) * max(away, zero) / (r2 * r2)
         total += part * (s1 - s0) * area
     return total
 

@@ -1,10 +1,9 @@
 """LEDs: where each is and what shines, those of a sensor as an illumination, and LEDs cut up for integration."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from math import ceil
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -123,13 +122,9 @@ class Led(Settings):
         length_mm, height_mm = self.size_mm
         return np.stack([level * length_mm / 2, across * height_mm / 2])
 
-    def half_extent_z_mm(self) -> float:
-        """Return how far the face reaches above and below its centre."""
-        return np.abs(self.half_axes_mm()[:, 2]).sum()
-
     def highest_z_mm(self) -> float:
         """Return the z of the face's edge that is nearest to the membrane."""
-        return self.position_mm[2] + self.half_extent_z_mm()
+        return self.position_mm[2] + np.abs(self.half_axes_mm()[:, 2]).sum()
 
 
 class Illumination(PresetSettings):
@@ -148,11 +143,6 @@ class Illumination(PresetSettings):
         exclude_if=lambda value: value is None,
         description="light that comes from no LED directly; none: none",
     )
-
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        yield None, self.name
-        yield "leds", len(self.leds)
-        yield "scattered", self.scattered is not None
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""

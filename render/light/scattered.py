@@ -5,6 +5,8 @@ real spherical harmonics up to an order and q the monomials of the place: on the
 construction, so that a coefficient never changes the reference. `ambient` is light that the flat membrane has too.
 """
 
+from typing import Annotated
+
 import numba
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,6 +19,12 @@ HARMONICS = (0, 3, 8, 15)
 PLACES = (1, 3, 6)
 """How many monomials of the place there are up to each degree."""
 LARGEST = 5.0
+Span = Annotated[
+    tuple[float, float, float, float],
+    Field(description="x from, to, y from, to: the place is held at its edges"),
+]
+EVERYWHERE: Span = (-100.0, 100.0, -100.0, 100.0)
+Scale = Annotated[float, Field(gt=0.1, le=1000, description="length that x and y are divided by")]
 
 
 class Scattered(Settings):
@@ -37,11 +45,8 @@ class Scattered(Settings):
         default=((), (), ()),
         description="by channel: light of the flat membrane too, for 1, x and y; none if empty",
     )
-    span_mm: tuple[float, float, float, float] = Field(
-        default=(-100.0, 100.0, -100.0, 100.0),
-        description="x from, to, y from, to: the place is held at its edges",
-    )
-    scale_mm: float = Field(default=10.0, gt=0.1, le=1000, description="length that x and y are divided by")
+    span_mm: Span = EVERYWHERE
+    scale_mm: Scale = 10.0
 
     @model_validator(mode="after")
     def _check(self) -> "Scattered":
@@ -69,13 +74,7 @@ def monomials(x: np.ndarray, y: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(parts[: PLACES[degree]], axis=-1)
 
 
-def places(
-    x_mm: np.ndarray,
-    y_mm: np.ndarray,
-    span_mm: tuple[float, float, float, float],
-    scale_mm: float,
-    degree: int,
-) -> np.ndarray:
+def places(x_mm: np.ndarray, y_mm: np.ndarray, span_mm: Span, scale_mm: float, degree: int) -> np.ndarray:
     """Return the monomials of places in mm, in units of the scale and held at the edges of the span."""
     x0, x1, y0, y1 = span_mm
     return monomials(np.clip(x_mm, x0, x1) / scale_mm, np.clip(y_mm, y0, y1) / scale_mm, degree)

@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.checksums import read_json, sha256
 from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
 
@@ -147,9 +148,7 @@ def _tabulated_response(sensitivity: str) -> np.ndarray:
 
     cameras = colour.MSDS_CAMERA_SENSITIVITIES
     if sensitivity not in cameras:
-        raise ValueError(
-            f"camera sensitivity {sensitivity!r} is unknown; known: {', '.join(sorted(cameras))}"
-        )
+        raise ValueError(unknown_name("camera sensitivity", sensitivity, sorted(cameras)))
     table = cameras[sensitivity]
     channels = (
         np.interp(_WAVELENGTH_NM, table.wavelengths, table.values[:, k], left=0, right=0) for k in range(3)
