@@ -176,7 +176,3 @@ def main(
             fail(f"what is printed cannot be written ({error.strerror}); {after}", EXIT_FAILED_RUN)
         is_bad_input = isinstance(error, ValueError | FileNotFoundError | PermissionError)
         fail(message, EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED_RUN)
-
-
-if __name__ == "__main__":
-    main()
