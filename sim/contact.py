@@ -28,10 +28,10 @@ _NEGLIGIBLE_LOAD_SHARE = 1e-2
 _WEAKENING_SLIP_MM = 0.05
 
 # Newton's method on the condensed problem has converged once the residual is no more than the first share of all
-# forces, or no more than the second and no longer halved, which is as good as rounding errors let it be.
+# forces, or no more than the second beside rounding errors and no longer halved, which is as good as it gets.
 _RESIDUAL_TOLERANCE = 1e-12
 _ROUNDED_RESIDUAL = 1e-10
-# Nodes may come into contact one an iteration. MuJoCo, which goes on from there, takes a hundred times as long for one.
+# Nodes may come into contact one an iteration.
 _MOST_ITERATIONS = 400
 # An increment is taken whole if the slope at its end is at most this share of the one at its beginning.
 _SMALL_SLOPE = 0.1
@@ -250,7 +250,8 @@ class ContactNewton:
     A is mass and stiffness, b the force without contacts; they, J, a_ref and the cost are MuJoCo's own, in the present
     state of its data (https://mujoco.readthedocs.io/en/stable/computation, "Constraint solver"). The problem is convex
     and has one solution. Dofs on which no contact acts are eliminated from it first. A contact has three rows in J and
-    six dofs: three of its node, three of the indenter.
+    six dofs: three of its node, three of the indenter. `rounding_n` is what rounding may leave unbalanced in the last
+    solution.
     """
 
     def __init__(self, gel: GelModel, data: Any, groups: list[Group]) -> None:
@@ -260,6 +261,7 @@ class ContactNewton:
         self._diagonal_of_mass = model.M_rowadr + model.M_rownnz - 1
         # Each geom's J x − a_ref of the last solution; 1 where there was none: nothing presses.
         self._relative = np.ones((model.ngeom, 3))
+        self.rounding_n = 0.0
         starts = np.append(data.efm_K_rowadr, data.nefmK)
         stiffness = sparse.csr_array((data.efm_K_val, data.efm_K_colind, starts), shape=(model.nv, model.nv))
         # The mesh numbers its vertices in reverse order of elimination.
@@ -312,6 +314,7 @@ class ContactNewton:
         kept[~touched] = linalg.solve_triangular(factor, left, trans=1, lower=True, check_finite=False)
         acceleration = self._condensation.expand(kept)
         acceleration[indenter_dofs] = solution[:split]
+        self.rounding_n = self._rounding_n(acceleration, contact_dofs)
         return acceleration
 
     def _condense_onto(self, touched: NDArray[np.bool_]) -> None:
@@ -342,7 +345,9 @@ class ContactNewton:
             residual = stiffness @ solution - force - _on_dofs(jacobian, contact_force, dofs, len(force))
             last, left = left, np.linalg.norm(residual)
             forces = np.linalg.norm(contact_force) + given
-            if left <= _RESIDUAL_TOLERANCE * forces or last / 2 < left <= _ROUNDED_RESIDUAL * forces:
+            if left <= _RESIDUAL_TOLERANCE * forces or (
+                left > last / 2 and left <= _ROUNDED_RESIDUAL * forces + self._rounding_n(solution, dofs)
+            ):
                 break
             increment = self._increment(residual, jacobian, dofs)
             along = np.einsum("cij,cj->ci", jacobian, increment[dofs]).ravel()
@@ -367,6 +372,16 @@ class ContactNewton:
         residual = -force - _on_dofs(jacobian, contact_force, dofs, len(force))
         solution = self._increment(residual, jacobian, dofs)
         return solution, given + np.einsum("cij,cj->ci", jacobian, solution[dofs]).ravel()
+
+    def _rounding_n(self, solution: Floats, dofs: Ints) -> float:
+        """Return what rounding leaves unbalanced at x (n,), where J x and a_ref cancel at contacts that press.
+
+        These are so stiff that of a touch of 0.1 mN that slides by 0.1 mm it is 10⁻¹⁰ of the force and more.
+        """
+        data = self._data
+        moved = np.einsum("cij,cj->ci", np.abs(data.efc_J.reshape(-1, 3, 6)), np.abs(solution)[dofs]).ravel()
+        cancelling_n = data.efc_D * (moved + np.abs(data.efc_aref)) * (data.efc_force != 0)
+        return float(np.finfo(np.float64).eps * np.linalg.norm(cancelling_n))
 
     def _contact_force(self, relative: Floats, *, stiffness: bool = False) -> Floats:
         """Return the contacts' forces (3 c,) at J x − a_ref (3 c,); the data gets their `stiffness`, if wanted."""

@@ -33,9 +33,6 @@ _LARGEST_GAP_MM = 2e-3
 # by this share of its tolerance. A press at `standard` takes 0.6 to 0.7 of the time, forces to 1e-4.
 _KEPT_TANGENT_RATIO = 0.7
 _KEPT_TANGENT_TOLERANCE = 0.2
-# A load step begins with the tangent of the last iteration if no vertex has moved since by more than this share of the
-# step: after a waypoint, whose state MuJoCo has accepted. A fifth of all tangents are saved so.
-_SAME_TANGENT_SHARE = 0.02
 # An increment by a kept tangent that is longer than this many times the one before is undone, and found anew.
 _LARGEST_KEPT_RATIO = 1.0
 # Where a new tangent shortens the increment no more than that, friction is what settles slowly: the next slow
@@ -58,7 +55,8 @@ _SQUEEZED_RATIO = 0.75
 # If vertices with this share of the load run away all the same, the contact has snapped: where it comes to rest is
 # dynamics, which statics does not determine.
 _SNAPPED_LOAD_SHARE = 0.25
-# MuJoCo's solver takes a start as solved that leaves at most this share of all forces unbalanced.
+# MuJoCo accepts a solution that leaves at most this share of all forces unbalanced, beside what its own rounding and
+# the solution's do.
 _LARGEST_RESIDUAL = 1e-9
 # A state is converged only if the audit's residual, imbalance and tension are below `_LARGEST_ERROR` and its Coulomb
 # excess is at most `_LARGEST_COULOMB_EXCESS`; one whose load step converged gets up to this many further iterations.
@@ -101,8 +99,7 @@ class State:
 class StaticNewton:
     """Gel and indenter of a problem on their way through load steps, from the undeformed and untouched gel on.
 
-    `iterations` counts those since the last waypoint, `left_to_mujoco` those of all in which MuJoCo's solver did not
-    take the solution of the condensed problem.
+    `iterations` counts those since the last waypoint. Unless it is `condensed`, MuJoCo does all of the linear algebra.
     """
 
     def __init__(self, problem: ContactProblem, *, condensed: bool = True) -> None:
@@ -121,14 +118,14 @@ class StaticNewton:
         self.iterations = 0
         self._most_iterations = most_iterations(problem)
         self._ran_away = False
-        self.left_to_mujoco = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
         self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
-        # Whether the last iteration was MuJoCo's with the present tangent, and left a factor of it.
-        self._accepted = self._factorised = False
-        # Where the last tangent was taken.
-        self._tangent_qpos = np.full(gel.model.nq, np.inf)
+        # Whether the last iteration was MuJoCo's with the present tangent.
+        self._accepted = False
+        if condensed:
+            # MuJoCo only checks solutions: conjugate gradients factorise nothing where it refuses one.
+            gel.model.opt.solver, gel.model.opt.iterations = mujoco.mjtSolver.mjSOL_CG, 1
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
         """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
@@ -206,9 +203,7 @@ class StaticNewton:
         self.contacts.begin_load_step(self.slip_mm)
         force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
         increment_mm, active = np.inf, self.active
-        from_tangent_mm = float(np.abs(data.qpos - self._tangent_qpos).max())
-        kept_tangent = from_tangent_mm <= _SAME_TANGENT_SHARE * moved_mm
-        patience = spare = 0
+        kept_tangent, patience, spare = False, 0, 0
         correction = np.zeros_like(data.qpos)
         # A step of a small body's size can throw the gel off its edges, though it does not go up.
         held = start.active.any() and command[2] <= start.command[2]
@@ -273,9 +268,8 @@ class StaticNewton:
         model, data = self.gel.model, self.data
         data.qvel[:] = 0
         data.qvel[self.gel.indenter_dof] = indenter_step_mm
-        kept_tangent &= self._factorised and self._find_contacts()
+        kept_tangent = kept_tangent and self._contact_newton is not None and self._find_contacts()
         if not kept_tangent:
-            self._tangent_qpos = np.array(data.qpos)
             mujoco.mj_fwdPosition(model, data)
         if data.ncon:
             self.contacts.place()
@@ -284,10 +278,7 @@ class StaticNewton:
             data.contact.includemargin[:] = 0
             self.contacts.impose_friction(self.active, turn)
             mujoco.mj_makeConstraint(model, data)
-        if kept_tangent:
-            self._accelerate_by_kept_tangent()
-        else:
-            self._factorised = self._accelerate()
+        self._accelerate(kept_tangent=kept_tangent)
         self._accepted = not kept_tangent
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
@@ -312,45 +303,38 @@ class StaticNewton:
             find(self.gel.model, self.data)
         return self.data.ncon > 0
 
-    def _accelerate_by_kept_tangent(self) -> None:
-        """Set the accelerations to the solution of the condensed problem with the factor that is there."""
-        self._set_up_solver()
-        try:
-            self.data.qacc[:] = self._contact_newton.acceleration()
-        except np.linalg.LinAlgError:
-            self.data.qacc[:] = np.nan
+    def _accelerate(self, *, kept_tangent: bool) -> None:
+        """Set the accelerations to the solution of the condensed problem; NaN if there is none that MuJoCo accepts.
 
-    def _accelerate(self) -> bool:
-        """Let MuJoCo solve for the accelerations: it takes the solution of the condensed problem, or goes on itself.
-
-        Return whether it took it.
+        Of a `kept_tangent` there is a factor, and MuJoCo is not asked.
         """
         model, data = self.gel.model, self.data
-        if data.ncon > 0 and self._condensed:
-            self._set_up_solver()
-            try:
-                self._contact_newton = self._contact_newton or ContactNewton(
-                    self.gel, data, elimination_groups(self.problem)
-                )
-                self._contact_newton.factorise()
-                acceleration = self._contact_newton.acceleration()
-            except np.linalg.LinAlgError:
-                data.qacc_warmstart[:] = 0
-            else:
-                data.qacc_warmstart[:] = acceleration
-                # MuJoCo would start from its estimate without contacts if that looked better, which it has not worked
-                # out here. The tolerance is for the check of this start: its residual, the unbalanced force.
-                data.qacc_smooth[:] = acceleration
-                force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
-                model.opt.tolerance = _LARGEST_RESIDUAL * force_n / (model.stat.meaninertia * model.nv)
-                mujoco.mj_fwdConstraint(model, data)
-                if data.solver_niter[0] == 0 and np.array_equal(data.qacc, data.qacc_warmstart):
-                    return True
-        self.left_to_mujoco += 1
         self._set_up_solver()
-        model.opt.tolerance = 0
+        if not self._condensed:
+            model.opt.tolerance = 0
+            mujoco.mj_fwdConstraint(model, data)
+            return
+        groups = elimination_groups(self.problem)
+        newton = self._contact_newton = self._contact_newton or ContactNewton(self.gel, data, groups)
+        try:
+            if not kept_tangent:
+                newton.factorise()
+            acceleration = newton.acceleration()
+        except np.linalg.LinAlgError:
+            data.qacc[:] = np.nan
+            return
+        data.qacc[:] = data.qacc_warmstart[:] = acceleration
+        if kept_tangent:
+            return
+        # MuJoCo would start from its estimate without contacts if that looked better, which it has not worked out here.
+        # The tolerance is for the check of this start: its residual, the unbalanced force.
+        data.qacc_smooth[:] = acceleration
+        force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
+        largest_n = _LARGEST_RESIDUAL * force_n + 2 * newton.rounding_n
+        model.opt.tolerance = largest_n / (model.stat.meaninertia * model.nv)
         mujoco.mj_fwdConstraint(model, data)
-        return False
+        if data.solver_niter[0] > 0 or not np.array_equal(data.qacc, acceleration):
+            data.qacc[:] = np.nan
 
     def _set_up_solver(self) -> None:
         """Let MuJoCo set up its solver's problem; with an endless tolerance the solver ends where it starts."""
