@@ -25,10 +25,10 @@ _EARLIER_SHARE = 0.75
 _STRAIGHT_SHARE = 1e-4
 # It is solved to its end if that is no more than this many times as far.
 _SHORTENED_RATIO = 1.25
-# A slide is steady if no more of its load than this share sticks, and if its force changed by no more than
-# `_LARGEST_CHANGE` between the two looks, as a share of what a quality promises. The pad's edges may change it by as
-# much between where a slide is solved and where its state is moved to; one that they change more is solved where it
-# ends.
+# A slide is steady if no more of its load than this share sticks at one of the two looks, since what has slid wholly
+# sticks again only as single vertices that come into contact do, and if its force changed by no more than
+# `_LARGEST_CHANGE` between them, as a share of what a quality promises. The pad's edges may change it as much between
+# where a slide is solved and where its state is moved to; one that they change more is solved where it ends.
 _STICKING_SHARE = 0.02
 _LARGEST_CHANGE = 0.5
 # An edge 2.4 thicknesses ahead of a contact of 0.47 of them in radius changes Fx by this, and half as much with every
@@ -59,7 +59,7 @@ class _Moved:
 
 
 class _Look(NamedTuple):
-    """By what share of it a slide's force changes from an earlier record to its end, and what share sticks at most."""
+    """By what share of it a slide's force changes from an earlier record to its end, and what share sticks at least."""
 
     change: float
     sticking: float
@@ -107,7 +107,7 @@ def _look(solutions: Sequence[Solution], end: _End) -> _Look:
     records = solutions[end.problem].records
     record, earlier = records[end.record], records[end.earlier]
     change = np.linalg.norm(record.force_n - earlier.force_n) / np.linalg.norm(record.force_n)
-    sticking = max(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
+    sticking = min(record.diagnostics.sticking_fraction, earlier.diagnostics.sticking_fraction)
     return _Look(float(change), float(sticking))
 
 
