@@ -137,9 +137,9 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
 
 
 def _cells(problem: ContactProblem, contact_radius_mm: float) -> float:
-    """Return how many cells there are across a contact's radius, or half its width if it lies across the mesh."""
-    if problem.is_oblique:
-        contact_radius_mm *= problem.meshed_radius_mm / min(problem.half_cut_mm)
+    """Return how many cells there are across a contact's radius; fewer if it lies across the mesh's lines."""
+    if problem.indenter.convex:
+        contact_radius_mm *= problem.width_mm / (2 * min(problem.half_cut_mm))
     return max(contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
 
 

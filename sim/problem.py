@@ -30,8 +30,9 @@ _ROUND_SHARE = 0.98
 _RING_SHARE = 0.9
 # Cells in a contact that is longer than wide are up to this many times as long as wide.
 _LONGEST_CELL = 2.0
-# A contact that is narrower than this share of the box around it, along the mesh's lines, lies across them.
-_OBLIQUE_SHARE = 0.9
+# A contact that is narrower than this share of the box around it, along the mesh's lines, lies across them; the outline
+# of a level face, which is nearly as wide at a quarter of the depth, matters more.
+_OBLIQUE_SHARE, _LEVEL_OBLIQUE_SHARE, _LEVEL_SHARE = 0.6, 0.9, 0.75
 # Under it, cells are this many times as large as the smallest under bodies that are not convex. With cells for the box
 # around it an ellipsoid of curvatures 1 : 30 that lies by 33° has up to 48 % too much force, a square by 45° 14 % too
 # little; such a solve takes two or three times as long.
@@ -321,16 +322,22 @@ class ContactProblem:
 
         Of a body that is not convex it is that of the widest patch, a ring's half width.
         """
-        widest_mm = max(body.contact_radius_mm(depth_mm) for body, depth_mm in self.stands)
-        radius_mm = max(_SMALLEST_CONTACT_MM, widest_mm)
-        if self.indenter.convex and radius_mm >= _OBLIQUE_SHARE * min(self.half_cut_mm):
-            return min(self.half_cut_mm)
-        return radius_mm
+        return min(self.half_cut_mm) if self.indenter.convex and not self.is_oblique else self.width_mm / 2
+
+    @property
+    def width_mm(self) -> float:
+        """How wide the widest patch is, whatever way it lies."""
+        return 2 * max(_SMALLEST_CONTACT_MM, *(body.contact_radius_mm(depth) for body, depth in self.stands))
 
     @property
     def is_oblique(self) -> bool:
-        """Whether a convex body's contact lies across the lines of the mesh."""
-        return self.indenter.convex and self.meshed_radius_mm < _OBLIQUE_SHARE * min(self.half_cut_mm)
+        """Whether a convex body's contact lies across the lines of the mesh, so that cells are to be smaller."""
+        if not self.indenter.convex:
+            return False
+        shallow_mm = 2 * self.indenter.contact_radius_mm(self.depth_mm / 4)
+        is_level = shallow_mm > _LEVEL_SHARE * self.width_mm
+        share = _LEVEL_OBLIQUE_SHARE if is_level else _OBLIQUE_SHARE
+        return self.width_mm < 2 * share * min(self.half_cut_mm)
 
     @property
     def contact_width(self) -> float:
