@@ -50,10 +50,10 @@ _VARIANCE_PER_CAUSE = (
 # felupe. So has one ring of waves that the mesh itself serves (1.0 % at `standard`). A share of the force, times a cell
 # over the patch's radius.
 _BETWEEN_LINES = 0.05
-# The outline of a contact that lies across the lines passes between vertices: boxes by 12 to 45° have
-# up to 5 % more or less force than along the lines, 2 % rms at `draft` and 1.1 at `standard`. A share of the force,
-# times a cell over half the size of the box around it.
-_ACROSS_LINES = 0.1
+# The outline of a contact that lies across the lines passes between vertices: boxes by 5 to 45° near a pad's edges have
+# up to 6 % more or less force than along the lines, 2 % rms at `draft`. A share of the force, times a cell over half
+# the size of the box around it, where the contact is narrower than this share of the box.
+_ACROSS_LINES, _ACROSS_SHARE = 0.055, 0.9
 # Around an edge sharper than a cell there are few vertices, which lie anywhere: a share of the force, times the cells
 # that fit the edge's radius, less one. A cylinder's force (R 1.5 on 3 mm, 0.5 deep) is 2.8 % too large with an edge of
 # 0.1 mm at `draft`, 0.8 and 2.5 % with 0.1 and 0.05 mm at `standard`, beside axisymmetric finite elements.
@@ -138,9 +138,12 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
 
 def _cells(problem: ContactProblem, contact_radius_mm: float) -> float:
     """Return how many cells there are across a contact's radius; fewer if it lies across the mesh's lines."""
-    if problem.indenter.convex:
-        contact_radius_mm *= problem.width_mm / (2 * min(problem.half_cut_mm))
-    return max(contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
+    return max(_narrowness(problem) * contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
+
+
+def _narrowness(problem: ContactProblem) -> float:
+    """Return how wide a convex body's contact is over the box around it along the mesh's lines; 1 along them."""
+    return problem.width_mm / (2 * min(problem.half_cut_mm)) if problem.indenter.convex else 1.0
 
 
 def _tangential(solution: Solution, index: int) -> float:
@@ -167,7 +170,7 @@ def diagnose(
     bridges_a_disc = problem.is_round and not problem.is_ring and problem.relief is not None
     if not (problem.indenter.convex or bridges_a_disc):
         variance[:2] += (_BETWEEN_LINES * problem.cell_mm / problem.meshed_radius_mm) ** 2
-    if problem.is_oblique:
+    if _narrowness(problem) < _ACROSS_SHARE:
         variance[:2] += (_ACROSS_LINES * problem.cell_mm) ** 2 / math.prod(problem.half_cut_mm)
     if problem.covers_pad:
         variance[0] += _COVERED**2
