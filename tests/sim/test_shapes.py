@@ -288,11 +288,8 @@ def test_a_long_contact_that_lies_across_the_mesh_has_cells_for_its_own_width() 
 
 
 def test_a_square_that_stands_on_its_corner_is_not_round() -> None:
-    problem = (
-        plan_visit(THICK_GEL, Box(size_mm=(3, 3), yaw_deg=45.0), (Pose(0.4),), "draft").solves[0].problem
-    )
-    assert problem.is_oblique
-    assert not problem.is_round
+    square = Box(size_mm=(3, 3), yaw_deg=45.0)
+    assert not plan_visit(THICK_GEL, square, (Pose(0.4),), "draft").solves[0].problem.is_round
 
 
 @pytest.mark.slow
@@ -303,8 +300,8 @@ def test_a_long_contact_that_lies_across_the_mesh_has_the_force_of_hertz() -> No
     modulus_mpa = THICK_GEL.young_modulus_mpa / (1 - THICK_GEL.poisson_ratio**2)
     force_n = [hertz_force_n(1.1**2 / 3, 6.0**2 / 3, modulus_mpa, depth_mm) for depth_mm in depths_mm]
     for state, expected_n in zip(states, force_n, strict=True):
-        assert -state.force_n[2] == pytest.approx(expected_n, rel=0.1)
         assert -state.force_n[2] == pytest.approx(expected_n, abs=3 * state.diagnostics.fz_error_n)
+    assert [-state.force_n[2] for state in states[2:]] == pytest.approx(force_n[2:], rel=0.04)
 
 
 def hertz_force_n(narrow_mm: float, long_mm: float, modulus_mpa: float, depth_mm: float) -> float:
