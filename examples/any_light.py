@@ -31,7 +31,7 @@ PRESSES = (0.6, -3, -1.6), (0.95, 1, -1.6), (0.95, -1, 1.6), (0.6, 3, 1.6)
 # The network's input: change of colour (3), reference (3), the table's doubt, slopes along x and y, place x and y.
 CHANNELS, SLOPES, ALONG_X, ALONG_Y = 11, [7, 8], [7, 9], [8, 10]
 MEAN_N, SPREAD_N = np.array([0, 0, -0.75], np.float32), np.array([0.17, 0.17, 0.6], np.float32)
-# Shares of the steps: true slopes are shown first, then more and more of the table's. Otherwise shear is not learnt.
+# Shares of the steps: true slopes are shown first, then more and more of the table's.
 TRUE_UNTIL, TABLE_FROM = 0.13, 0.35
 RATE = 3e-3
 # Of n contacts: inputs (n, 11, h, w), true slopes (n, 2, h, w) and forces (n, 3), N.
