@@ -9,7 +9,7 @@ from loaded_file import load_file
 from quick_solves import coarsen, shrink_libraries
 
 from gelgap.domains import open_domain
-from gelgap.sim import ContactPath, Pose, PoseRanges
+from gelgap.sim import ContactPath, PoseRanges
 
 pytestmark = pytest.mark.usefixtures("coarse")
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -79,34 +79,32 @@ def test_any_light_trains(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     shrink_libraries(monkeypatch)
     example = load("any_light")
     monkeypatch.setattr(example, "RANGES", PoseRanges(0.1, 0.2, 0.05))
-    monkeypatch.setattr(example, "PRESSES", (Pose(depth_mm=0.2),))
-    example.main(lights=1, contacts=2, steps=2, presses=1)
+    monkeypatch.setattr(example, "PRESSES", ((0.2, 0.0, 0.0),))
+    example.main(lights=1, contacts=1, steps=1)
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(",")[0] for line in lines] == ["i0", "i1", "i2"]
 
 
-def test_any_light_reads_slopes_by_presses_and_says_where_its_table_is_stretched() -> None:
+def test_any_light_reads_slopes_by_presses_and_says_where_it_doubts_them() -> None:
     rng, to_colours = np.random.default_rng(0), np.array([[1.0, -0.5, 0.2], [0.1, 0.8, -0.9]])
-    slopes = rng.uniform(-0.5, 0.5, (4, 12, 16, 2))
-    table = load("any_light").SlopeTable.of(slopes @ to_colours, slopes)
-    new = rng.uniform(-0.5, 0.5, (12, 16, 2))
-    stretched, *read = np.moveaxis(table(new @ to_colours), -1, 0)
-    np.testing.assert_allclose(np.stack(read, -1), new, atol=0.02)
-    assert table(2 * new @ to_colours)[..., 0].mean() > 2 * stretched.mean()
+    slopes = rng.uniform(-0.5, 0.5, (3, 48, 64, 2))
+    table = load("any_light").slopes_by_colour(slopes[:2] @ to_colours, slopes[:2])
+    doubt, *read = np.moveaxis(table(slopes[2] @ to_colours), -1, 0)
+    np.testing.assert_allclose(np.stack(read, -1), slopes[2], atol=0.02)
+    assert table(2 * slopes[2] @ to_colours)[..., 0].mean() > 2 * doubt.mean()
 
 
 @pytest.mark.parametrize("turn", range(8))
 def test_any_light_turns_slopes_places_and_forces_with_the_picture(turn: int) -> None:
-    example, heights = (
-        load("any_light"),
-        np.random.default_rng(turn).normal(size=(2, 9, 9)).cumsum(1).cumsum(2),
-    )
-    place = np.moveaxis(example.places(9, 9), -1, 0)
+    example = load("any_light")
+    heights = np.random.default_rng(turn).normal(size=(2, 9, 9)).cumsum(1).cumsum(2)
+    place = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))
+    vectors = np.array([example.ALONG_X, example.ALONG_Y]).T  # of slopes, of place
     inputs = np.zeros((2, example.CHANNELS, 9, 9))
-    inputs[:, 0], inputs[:, example.PLACE] = heights, place
+    inputs[:, 0], inputs[:, vectors[1]] = heights, place
     inputs[:, example.SLOPES] = np.stack(np.gradient(heights, axis=(2, 1)), 1)
     # A force as the sum of slopes, which turns with them.
-    own, force_n = example.turned(inputs, np.c_[inputs[:, example.SLOPES].sum((2, 3)), [1.0, 2.0]], turn)
-    np.testing.assert_allclose(own[:, example.SLOPES], np.stack(np.gradient(own[:, 0], axis=(2, 1)), 1))
-    np.testing.assert_allclose(force_n, np.c_[own[:, example.SLOPES].sum((2, 3)), [1.0, 2.0]])
-    np.testing.assert_allclose(own[:, example.PLACE], np.broadcast_to(place, (2, 2, 9, 9)), atol=1e-12)
+    turned, force_n = example.turned(inputs, np.c_[inputs[:, example.SLOPES].sum((2, 3)), [1.0, 2.0]], turn)
+    np.testing.assert_allclose(turned[:, example.SLOPES], np.stack(np.gradient(turned[:, 0], axis=(2, 1)), 1))
+    np.testing.assert_allclose(force_n, np.c_[turned[:, example.SLOPES].sum((2, 3)), [1.0, 2.0]])
+    np.testing.assert_allclose(turned[:, vectors[1]], np.broadcast_to(place, (2, 2, 9, 9)), atol=1e-12)
