@@ -46,9 +46,9 @@ _VARIANCE_PER_CAUSE = (
 )
 # A mesh between lines has its cells anywhere, not in the middle of each patch, as rings of cells have under a ring: a
 # torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once). A ball by its surface on a mesh
-# between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much beside
-# felupe. So has one ring of waves that the mesh itself serves (1.0 % at `standard`). A share of the force, times a cell
-# over the patch's radius.
+# between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much, one
+# ring of waves that the mesh serves 1.0 at `standard`. A share of the force, times a cell over the patch's radius, and
+# over its square where a mesh is shared with deeper poses: a ridge that is one to two cells wide has 25 % too little.
 _BETWEEN_LINES = 0.05
 # The outline of a contact that lies across the lines passes between vertices: boxes by 5 to 45° near a pad's edges have
 # up to 6 % more or less force than along the lines, 2 % rms at `draft`. A share of the force, times a cell over half
@@ -125,11 +125,9 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
     problem, record = solution.problem, solution.records[index]
     cells = _cells(problem, contact_radius_mm)
     tangential = _tangential(solution, index) / max(float(np.linalg.norm(record.force_n)), 1e-300)
-    tangential = max(
-        tangential,
-        _TANGENTIAL_OF_A_PATH if problem.travel_mm > 0 else 0.0,
-        _TANGENTIAL_OF_A_LEAN * math.sin(math.radians(problem.body_at(index).lean_deg)),
-    )
+    of_path = _TANGENTIAL_OF_A_PATH if problem.travel_mm > 0 else 0.0
+    of_lean = _TANGENTIAL_OF_A_LEAN * math.sin(math.radians(problem.body_at(index).lean_deg))
+    tangential = max(tangential, of_path, of_lean)
     strain = record.indenter_mm[2] / problem.thickness_mm
     # A body of many features gets fewer cells across each.
     coarse = max(1 / problem.mesh_size.across, problem.cell_mm / problem.meshed_radius_mm)
@@ -169,16 +167,18 @@ def diagnose(
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
     bridges_a_disc = problem.is_round and not problem.is_ring and problem.relief is not None
     if not (problem.indenter.convex or bridges_a_disc):
-        variance[:2] += (_BETWEEN_LINES * problem.cell_mm / problem.meshed_radius_mm) ** 2
+        as_meshed = problem.is_round or problem.turns_deg
+        own_mm = math.inf if as_meshed else problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
+        patch_mm = min(problem.meshed_radius_mm, max(own_mm, problem.cell_mm))
+        variance[:2] += (_BETWEEN_LINES * problem.cell_mm * problem.meshed_radius_mm / patch_mm**2) ** 2
     if _narrowness(problem) < _ACROSS_SHARE:
         variance[:2] += (_ACROSS_LINES * problem.cell_mm) ** 2 / math.prod(problem.half_cut_mm)
     if problem.covers_pad:
         variance[0] += _COVERED**2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
-    share = np.sqrt(variance)
-    share[:2] = np.hypot(share[:2], record.moved_error)
-    fz, shear, radius, membrane = share.tolist()
+    variance[:2] += record.moved_error**2
+    fz, shear, radius, membrane = np.sqrt(variance).tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     torque_n_mm = abs(float(record.torque_n_mm[2]))
     found = asdict(record.diagnostics)

@@ -57,7 +57,7 @@ def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surfa
         deepest_mm = min(deepest_mm, z - lowest_mm + body.deepest_mm)
     heights_mm, spacing_mm = grid_under(np.concatenate(triangles_mm))
     radii_mm = [getattr(body, name) for body, _ in parts for name in _ROUNDINGS if hasattr(body, name)]
-    fields = {"edge_radius_mm": min(_LARGEST_FILL_MM, *radii_mm), **fields}
+    fields = {"edge_radius_mm": min([_LARGEST_FILL_MM, *radii_mm]), **fields}
     return Surface.of(heights_mm, spacing_mm, height_mm=round(2 * deepest_mm, 9), **fields)
 
 
