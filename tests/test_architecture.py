@@ -34,10 +34,10 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 # One person is to hold the house in the head: what counts first is its doors. Their ceilings fall from release to
 # release; lines and files rose for what bodies by their surface and methods of the field may take.
-MOST_PUBLIC_NAMES = 109
-MOST_ARGUMENTS = 122
-MOST_NAMES_OF_ARGUMENTS = 75
-MOST_LINES = 37_210
+MOST_PUBLIC_NAMES = 108
+MOST_ARGUMENTS = 120
+MOST_NAMES_OF_ARGUMENTS = 74
+MOST_LINES = 37_368
 MOST_FILES = 195
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
