@@ -23,7 +23,8 @@ from gelgap.sim.steady import solve_steadily
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)
 # A load step that takes longer, loses the gel, or in which vertices run away, is undone and repeated in two halves, and
-# these in halves if they fail as well; if a quarter fails, the way ends.
+# these in halves if they fail as well; if a quarter fails, the way ends. A quarter may take twice as long: a vertex at
+# the rim that sticks takes up to 70 iterations to let go.
 _ITERATIONS_PER_STEP = 60
 _MOST_HALVINGS = 2
 # Vertices that carry force in equilibrium lie on the indenter to this distance.
@@ -168,7 +169,7 @@ class StaticNewton:
         The indenter `passes` the command, or it is a waypoint.
         """
         start, middle = self.state(), 0.5 * (self.command + command)
-        most = min(_ITERATIONS_PER_STEP, self._most_iterations - self.iterations)
+        most = min(_ITERATIONS_PER_STEP * (1 if halvings else 2), self._most_iterations - self.iterations)
         ran_away = self._ran_away
         converged, self._ran_away = self.load_step(command, most, passes=passes)
         # What runs away in halves as well is not a matter of their length, nor is it in the next step.

@@ -183,6 +183,14 @@ def test_a_drag_near_the_brink_of_sliding_bears_what_it_should_and_is_flagged_wh
     assert gel.friction < beyond.force_n[0] / -beyond.force_n[2] < 0.906
 
 
+def test_a_drag_whose_rim_sticks_until_it_lets_go_converges() -> None:
+    """Without slip finite elements have 0.0947 N (`assets/reference/shear_no_slip.csv`)."""
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
+    state = solve_pose(gel, Sphere(), Pose(1.0, shear_x_mm=0.1), quality="draft", sharing=ALONE)
+    assert state.converged
+    assert state.force_n[0] == pytest.approx(0.0947, rel=0.06)
+
+
 @pytest.mark.usefixtures("coarse")
 def test_a_contact_that_lets_go_as_a_whole_is_flagged() -> None:
     gel = Elastomer(young_modulus_mpa=0.01, poisson_ratio=0.3, friction=1.0, thickness_mm=1.0)
