@@ -13,11 +13,11 @@ from pydantic import Field, TypeAdapter, ValidationError
 from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.selection import LabelFree
-from gelgap.assets.array_file import read_arrays
+from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, sha256, write_checksums
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
-from gelgap.assets.whole_file import whole_file, write_whole
+from gelgap.assets.whole_file import write_whole
 
 RECORD = "run.json"
 _PREDICTIONS, _MODEL = "predictions.npz", "model.pt"
@@ -97,8 +97,7 @@ def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> Non
             name: values.astype(np.float16 if name.endswith("_features") else np.float32)
             for name, values in arrays.items()
         }
-        with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **kept)
+        write_arrays(run.folder / _PREDICTIONS, kept)
         model.save(run.folder / _MODEL)
         sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
     write_checksums(run.folder, sums)

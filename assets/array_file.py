@@ -1,11 +1,13 @@
-"""Arrays of an npz file that anyone may have written: no objects, and no more memory than the file may take."""
+"""Arrays of npz files: read as anyone may have written them, without objects, and written whole or not at all."""
 
 import io
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
+
+from gelgap.assets.whole_file import whole_file
 
 MOST_BYTES = 2**30
 
@@ -33,6 +35,12 @@ def read_arrays(source: Path | bytes, names: Collection[str] | None = None) -> d
         if "allow_pickle" in reason:
             reason = "it holds Python objects, which are never read: they could run code"
         raise ValueError(reason) from None
+
+
+def write_arrays(path: Path | str, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write a compressed npz file, whole or not at all."""
+    with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def _array(data: bytes) -> np.ndarray:

@@ -133,10 +133,8 @@ class Calibrate(opt.Command):
         print("\n".join(report))
         for warning in warnings_of(fit):
             print(f"gelgap: warning: {warning}", file=sys.stderr)
-        if fit.held_out:
-            write_comparisons(
-                held_out_pairs(fit, presses), self.out.with_name(f"{self.out.stem}-held-out"), "held-out"
-            )
+        folder = self.out.with_name(f"{self.out.stem}-held-out")
+        write_comparisons(held_out_pairs(fit, presses), folder, "held-out")
 
     def _predict(self) -> None:
         from gelgap.domains.press_prediction import predict_presses
@@ -237,17 +235,16 @@ def report_lines(fit: "LightCalibration") -> list[str]:
     )
     if fit.left_out:
         lines.append(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
-    if fit.held_out:
-        lines.append(
-            f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
-        )
-        share = fit.sensor.table_share
-        lines.append(f"  predicts with {1 - share:.0%} modelled light, {share:.0%} table of normals")
-    for kind, what in HELD_OUT.items() if fit.held_out else ():
-        inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in _levels(fit, kind))
+    lines.append(
+        f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
+    )
+    share = fit.sensor.table_share
+    lines.append(f"  predicts with {1 - share:.0%} modelled light, {share:.0%} table of normals")
+    for kind, what in HELD_OUT.items():
+        by_region = zip(*(getattr(press, kind) for press in fit.held_out), strict=True)
+        inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in by_region)
         lines.append(f"  {what:32s} inside the contact {inside}, from one to two radii {ring}")
-    if fit.held_out:
-        lines.append(f"  the press that gains least: {_worst(fit)[1]}")
+    lines.append(f"  the press that gains least: {_worst(fit)[1]}")
     if len(fit.levels):
         low, high = fit.levels.min(), fit.levels.max()
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
@@ -311,7 +308,7 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
             "that no pictures are mirrored or have red and blue exchanged, diameters, scale and, among few presses, "
             "the picture of each, since one can spoil the fit"
         )
-    if fit.held_out and _worst(fit)[0] < 0:
+    if _worst(fit)[0] < 0:
         warnings.append(
             f"a press is predicted worse than by the unchanged reference: {_worst(fit)[1]}; look at its picture among "
             "those of the held-out presses, and mark it anew or leave it out of the list"
@@ -327,11 +324,6 @@ def _worst(fit: "LightCalibration") -> tuple[float, str]:
             said = f"{press.name}, {where} its contact {marked:.1f} dB (unchanged reference {unchanged:.1f})"
             found.append((marked - unchanged, said))
     return min(found)
-
-
-def _levels(fit: "LightCalibration", kind: str) -> list[tuple[float, ...]]:
-    """Return the held-out presses' PSNR inside the contact, and around it; nothing if none is held out."""
-    return list(zip(*(getattr(press, kind) for press in fit.held_out), strict=True))
 
 
 def held_out_pairs(

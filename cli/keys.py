@@ -48,8 +48,7 @@ def profile_keys() -> Meanings:
     from gelgap.adapt import Profile
 
     left_out = ("name", "settings")
-    fields = Profile.model_fields.items()
-    return {name: field.description for name, field in fields if name not in left_out}
+    return {name: field.description for name, field in Profile.model_fields.items() if name not in left_out}
 
 
 def given(words: Words, keys: Mapping[str, Meanings]) -> dict[str, dict[str, Any]]:

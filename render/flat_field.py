@@ -8,17 +8,15 @@ what dots of the gel leave of the light, where they are in the reference; they m
 """
 
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import numba
 import numpy as np
 from pydantic import Field, field_serializer, model_validator
 
-from gelgap.assets.array_file import read_arrays
+from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.settings import Settings
-from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import EVERYWHERE, PLACES, Scale, Span, places
 from gelgap.render.surface import Surface
@@ -176,10 +174,8 @@ def save_maps(maps: FlatFieldMaps, path: Path) -> str:
         for name, part in vars(maps).items()
         if part is not None
     }
-    buffer = BytesIO()
-    np.savez_compressed(buffer, **parts)
-    write_whole(path, buffer.getvalue())
-    return sha256(buffer.getvalue())
+    write_arrays(path, parts)
+    return file_sha256(path)
 
 
 def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:

@@ -136,12 +136,7 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
 
 def _cells(problem: ContactProblem, contact_radius_mm: float) -> float:
     """Return how many cells there are across a contact's radius; fewer if it lies across the mesh's lines."""
-    return max(_narrowness(problem) * contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
-
-
-def _narrowness(problem: ContactProblem) -> float:
-    """Return how wide a convex body's contact is over the box around it along the mesh's lines; 1 along them."""
-    return problem.width_mm / (2 * min(problem.half_cut_mm)) if problem.indenter.convex else 1.0
+    return max(problem.narrowness * contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
 
 
 def _tangential(solution: Solution, index: int) -> float:
@@ -165,14 +160,7 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, contact_radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    bridges_a_disc = problem.is_round and not problem.is_ring and problem.relief is not None
-    if not (problem.indenter.convex or bridges_a_disc):
-        as_meshed = problem.is_round or problem.turns_deg
-        own_mm = math.inf if as_meshed else problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
-        patch_mm = min(problem.meshed_radius_mm, max(own_mm, problem.cell_mm))
-        variance[:2] += (_BETWEEN_LINES * problem.cell_mm * problem.meshed_radius_mm / patch_mm**2) ** 2
-    if _narrowness(problem) < _ACROSS_SHARE:
-        variance[:2] += (_ACROSS_LINES * problem.cell_mm) ** 2 / math.prod(problem.half_cut_mm)
+    variance[:2] += _off_lines(problem, record) ** 2
     if problem.covers_pad:
         variance[0] += _COVERED**2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
@@ -196,6 +184,21 @@ def diagnose(
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
     )
+
+
+def _off_lines(problem: ContactProblem, record: Record) -> float:
+    """Return by what share the force may be off because the contact does not lie along the lines of the mesh."""
+    cell_mm = problem.cell_mm
+    if problem.indenter.convex:
+        is_across = problem.narrowness < _ACROSS_SHARE
+        return _ACROSS_LINES * cell_mm / math.sqrt(math.prod(problem.half_cut_mm)) if is_across else 0.0
+    if problem.is_round and not problem.is_ring and problem.relief is not None:
+        return 0.0
+    patch_mm = meshed_mm = problem.meshed_radius_mm
+    if not (problem.is_round or problem.turns_deg):
+        own_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
+        patch_mm = min(meshed_mm, max(own_mm, cell_mm))
+    return _BETWEEN_LINES * cell_mm * meshed_mm / patch_mm**2
 
 
 def _twist_off(cells: float, factor: float) -> float:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.assets.array_file import read_arrays
-from gelgap.assets.whole_file import whole_file
+from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Indenter
@@ -128,9 +127,7 @@ class MembraneState:
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
-        arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+        write_arrays(path, {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)})
 
     @staticmethod
     def load(path: str | Path) -> "MembraneState":

@@ -315,12 +315,12 @@ class StaticNewton:
             model.opt.tolerance = 0
             mujoco.mj_fwdConstraint(model, data)
             return
-        groups = elimination_groups(self.problem)
-        newton = self._contact_newton = self._contact_newton or ContactNewton(self.gel, data, groups)
+        if self._contact_newton is None:
+            self._contact_newton = ContactNewton(self.gel, data, elimination_groups(self.problem))
         try:
             if not kept_tangent:
-                newton.factorise()
-            acceleration = newton.acceleration()
+                self._contact_newton.factorise()
+            acceleration = self._contact_newton.acceleration()
         except np.linalg.LinAlgError:
             data.qacc[:] = np.nan
             return
@@ -331,7 +331,7 @@ class StaticNewton:
         # The tolerance is for the check of this start: its residual, the unbalanced force.
         data.qacc_smooth[:] = acceleration
         force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
-        largest_n = _LARGEST_RESIDUAL * force_n + 2 * newton.rounding_n
+        largest_n = _LARGEST_RESIDUAL * force_n + 2 * self._contact_newton.rounding_n
         model.opt.tolerance = largest_n / (model.stat.meaninertia * model.nv)
         mujoco.mj_fwdConstraint(model, data)
         if data.solver_niter[0] > 0 or not np.array_equal(data.qacc, acceleration):

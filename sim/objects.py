@@ -1,7 +1,7 @@
 """Everyday objects made by code, by the heights of what each shows to the gel, and several bodies as one."""
 
 from collections.abc import Callable, Sequence
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -98,9 +98,9 @@ def _hexagon(x: Floats, y: Floats) -> Floats:
     return np.max([np.abs(x * np.cos(turn) + y * np.sin(turn)) for turn in turns], axis=0)
 
 
-def _stroke(x: Floats, y: Floats, ends: tuple[float, ...]) -> Floats:
+def _stroke(x: Floats, y: Floats, start: tuple[float, float], end: tuple[float, float]) -> Floats:
     """Return how far places are from a line between two points."""
-    x0, y0, x1, y1 = ends
+    (x0, y0), (x1, y1) = start, end
     along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2), 0, 1)
     return np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0))
 
@@ -124,7 +124,7 @@ def _key(x: Floats, y: Floats) -> Floats:
 def _coin(x: Floats, y: Floats) -> Floats:
     radius, square = np.hypot(x, y), np.maximum(np.abs(x), np.abs(y))
     height = np.where(
-        (radius > 2.7) | (_stroke(x, y, (-1.2, 0.9, 1.2, 0.9)) < 0.3) | (square < 0.7), 0.0, 0.3
+        (radius > 2.7) | (_stroke(x, y, (-1.2, 0.9), (1.2, 0.9)) < 0.3) | (square < 0.7), 0.0, 0.3
     )
     return np.where(radius < 3.3, height, np.inf)
 
@@ -147,8 +147,9 @@ def _letters(x: Floats, y: Floats) -> Floats:
     inside = np.zeros(x.shape, dtype=bool)
     for place, letter in enumerate("GEL"):
         u, v = (x + 3.4) / 2.1 - 1.1 * place, (y + 1.8) / 3.6
-        for start, end in chain.from_iterable(map(pairwise, _LETTERS[letter])):
-            inside |= _stroke(u, v, (*start, *end)) < 0.13
+        for corners in _LETTERS[letter]:
+            for start, end in pairwise(corners):
+                inside |= _stroke(u, v, start, end) < 0.13
     return _solid(inside)
 
 

@@ -249,11 +249,10 @@ class ContactProblem:
 
     def _cuts_a_disc(self, body: AnyIndenter, depth_mm: float) -> bool:
         least_mm = _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
-        if body.symmetry is not Symmetry.REVOLUTION and not (
-            body.convex and body.contact_radius_mm(depth_mm) >= least_mm
-        ):
-            return False
-        return np.abs(self.cut_by(body, depth_mm)).min() >= least_mm
+        is_disc = body.symmetry is Symmetry.REVOLUTION
+        if body.convex and not is_disc:
+            is_disc = body.contact_radius_mm(depth_mm) >= least_mm
+        return is_disc and np.abs(self.cut_by(body, depth_mm)).min() >= least_mm
 
     @property
     def is_ring(self) -> bool:
@@ -330,8 +329,13 @@ class ContactProblem:
 
     @property
     def is_oblique(self) -> bool:
-        """Whether a convex body's contact lies across the lines of the mesh, so that cells are to be smaller."""
-        return self.indenter.convex and self.width_mm < 2 * _OBLIQUE_SHARE * min(self.half_cut_mm)
+        """Whether a convex body's contact is long and lies across the mesh's lines, so that cells are smaller."""
+        return self.narrowness < _OBLIQUE_SHARE
+
+    @property
+    def narrowness(self) -> float:
+        """How wide a convex body's contact is over the box around it along the mesh's lines; 1 along them."""
+        return self.width_mm / (2 * min(self.half_cut_mm)) if self.indenter.convex else 1.0
 
     @property
     def contact_width(self) -> float:
@@ -346,15 +350,12 @@ class ContactProblem:
     @property
     def cell_mm(self) -> float:
         """How far apart the membrane's vertices are where it is touched."""
-        cell_mm = min(self.meshed_radius_mm / self.mesh_size.across, self.widest_cell_mm)
-        if self.is_round or (self.indenter.convex and not self.is_oblique):
-            return cell_mm
-        along_mm = 2 * math.sqrt(math.prod(self.half_cut_mm)) / self.most_cells_along
-        if self.is_oblique:
-            return min(
-                _OBLIQUE_CELL * along_mm, min(self.half_cut_mm) / self.mesh_size.across, self.widest_cell_mm
-            )
-        return max(cell_mm, along_mm)
+        side_mm = min(self.half_cut_mm) if self.indenter.convex else self.meshed_radius_mm
+        cell_mm = min(side_mm / self.mesh_size.across, self.widest_cell_mm)
+        finest_mm = 2 * math.sqrt(math.prod(self.half_cut_mm)) / self.most_cells_along
+        if self.indenter.convex:
+            return min(cell_mm, _OBLIQUE_CELL * finest_mm) if self.is_oblique else cell_mm
+        return cell_mm if self.is_round else max(cell_mm, finest_mm)
 
     @property
     def most_cells_along(self) -> int:

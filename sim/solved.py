@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,8 +179,11 @@ class ContactSolve:
         problem = self.solution.problem
         leans = problem.commands[:, [0, 1, 3, 4, 5]].any(axis=1)
         # The way begins straight down.
-        first, *others = problem.way(self.placement.record)
-        *_, press = first, *takewhile(lambda waypoint: not leans[waypoint], others)
+        press, *others = problem.way(self.placement.record)
+        for waypoint in others:
+            if leans[waypoint]:
+                break
+            press = waypoint
         depth_mm = -problem.waypoints_mm[press][2]
         if depth_mm == 0:
             raise ValueError("depth_mm = 0 on the way to this pose: a pose without contact has no slip")

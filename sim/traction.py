@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets.array_file import write_arrays
 from gelgap.assets.names import one_line
-from gelgap.assets.whole_file import whole_file
 from gelgap.sim.indenter import Floats
 from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState
 
@@ -88,11 +88,8 @@ class Traction:
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm, traction_mpa, area_mm2, normal_mpa, tangential_mpa and coarse_n."""
         names = ("traction_mpa", "area_mm2", "normal_mpa", "tangential_mpa")
-        arrays = {name: getattr(self, name) for name in names}
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(
-                file, x_mm=self.state.x_mm, y_mm=self.state.y_mm, coarse_n=self.coarse_n(), **arrays
-            )
+        own = {name: getattr(self, name) for name in names} | {"coarse_n": self.coarse_n()}
+        write_arrays(path, {"x_mm": self.state.x_mm, "y_mm": self.state.y_mm} | own)
 
 
 def balanced_traction(state: MembraneState, point_mm: tuple[float, float], traction_mpa: Floats) -> Traction:
@@ -146,8 +143,7 @@ class Slip:
 
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm and slip_mm."""
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, x_mm=self.x_mm, y_mm=self.y_mm, slip_mm=self.slip_mm)
+        write_arrays(path, {"x_mm": self.x_mm, "y_mm": self.y_mm, "slip_mm": self.slip_mm})
 
 
 class Stand(NamedTuple):

@@ -90,11 +90,10 @@ def headline_grid(
 def upper_bounds_of(runs: list[Setting]) -> list[Setting]:
     """Return the upper bounds of the targets of runs: training on themselves, on the same input."""
     targets = dict.fromkeys((run["target"], run["seed"], run["changes"]) for run in runs)
-    return [run for name, *own in targets for run in _upper_bound(name, *own)]
-
-
-def _upper_bound(target: str, seed: int, changes: board.Changes) -> list[Setting]:
-    return grid([(board.DATA, (target, target))], [PLAIN], [seed], changes)
+    bounds = []
+    for target, seed, changes in targets:
+        bounds += grid([(board.DATA, (target, target))], [PLAIN], [seed], changes)
+    return bounds
 
 
 def load_headline(folder: Path, data: str = board.DATA) -> pd.DataFrame:

@@ -149,7 +149,8 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
             f"{path}: commas, semicolons or tabs must separate columns; its header is {quoted(header[0])}"
         )
     # A comment has another number of cells, or nothing but empty ones behind it.
-    rows = [row for row in rows if row[0][:1] != "#" or (len(row) == len(header) and any(row[1:] or row))]
+    width = len(header)
+    rows = [row for row in rows if row[0][:1] != "#" or (len(row) == width and (width == 1 or any(row[1:])))]
     if separator == ";":
         rows = _with_decimal_points(rows)
     for number, row in enumerate(rows, 1):

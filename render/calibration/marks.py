@@ -10,7 +10,6 @@ where it is level, which took marks of a real sensor from 0.37 to 0.26 mm of tho
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
 
@@ -31,9 +30,12 @@ _ROUNDS, _SHARED_ROUNDS, _EVALUATIONS = 4, 4, 8
 _MOST_MOVED, _SHRINKS, _GROWS = 0.6, 0.6, 1.5  # of the radius, in a round
 _LEAST_RADIUS = 1 / 40  # of the width; smaller ones may lie on a dot
 _RIDGE = 1e-4
-# What is level is sought within so many radii. Gel that touches is darker by 0.05 to 0.07 of its code values on two
-# sensors, whose centres are moved, by 0.03 or less, or brighter, on five.
-_INSIDE, _DARKER, _LEVEL_ROUNDS, _STEP_PX, _MOST_LEVEL_STEP = 0.9, 0.04, 6, 0.3, 0.3
+# Centres are moved to where gel is level if contact darkens it by more than this share of its code values: on two
+# sensors it does by 0.05 to 0.07; on five by 0.03 or less, or it is brighter there.
+_LEAST_DARKENING = 0.04
+_LEVEL_REACH = 0.9  # how far from its centre the level place is looked for, in contact radii
+_LEVEL_ROUNDS, _MOST_LEVEL_STEP = 6, 0.3  # each step at most this share of the radius
+_DIFFERENCE_PX = 0.3  # to either side, for derivatives by place
 _BEYOND, _FAR = 2.0, 2.5  # radii
 _DETAIL_PX = 3.0
 # Of a phase correlation; noise alone has less than 11 over the square root of its pixels.
@@ -200,18 +202,20 @@ def _level(change: _Change, dents: _Dents, pose_px: np.ndarray, reference: np.nd
     off_px, darker = np.zeros(3), 0.0
     for _ in range(_LEVEL_ROUNDS):
         pose = pose_px + off_px
-        points, real = change.samples(pose, _INSIDE)
+        points, real = change.samples(pose, _LEVEL_REACH)
         rest = reference[tuple(points.T[::-1].astype(int))].astype(float)
         columns, lit = dents.columns(points, pose), real + darker * rest
         weight = _weights(lit - columns @ _coefficients(columns, lit, np.ones(len(points))))
-        own, ways = _coefficients(columns, lit, weight), _STEP_PX * np.eye(3)[:2]
-        moved = [dents.columns(points, pose + way) - dents.columns(points, pose - way) for way in ways]
-        along = [columns_moved @ own / (2 * _STEP_PX) for columns_moved in moved]
+        own = _coefficients(columns, lit, weight)
+        along = []
+        for way in _DIFFERENCE_PX * np.eye(3)[:2]:
+            change_of_columns = dents.columns(points, pose + way) - dents.columns(points, pose - way)
+            along.append(change_of_columns @ own / (2 * _DIFFERENCE_PX))
         values = np.concatenate([*along, -rest, real], axis=1)
         left = np.sqrt(weight)[:, None] * (values - columns @ _coefficients(columns, values, weight))
-        *causes, error = left.reshape(-1, 4, 3).swapaxes(0, 1).reshape(4, -1)
-        *step_px, darker = np.linalg.lstsq(np.transpose(causes), error, rcond=None)[0]
-        off_px[:2] += np.clip(step_px, -_MOST_LEVEL_STEP * pose[2], _MOST_LEVEL_STEP * pose[2])
+        by_channel = left.reshape(-1, 4, 3).swapaxes(1, 2).reshape(-1, 4)
+        step_x, step_y, darker = np.linalg.lstsq(by_channel[:, :3], by_channel[:, 3], rcond=None)[0]
+        off_px[:2] += np.clip([step_x, step_y], -_MOST_LEVEL_STEP * pose[2], _MOST_LEVEL_STEP * pose[2])
     return np.array([*off_px[:2], darker])
 
 
@@ -263,13 +267,15 @@ def find_marks(
         for _ in range(_ROUNDS):
             pose = _placed(changes[number], dents, pose)
         poses.append(pose)
-    for _ in range(_SHARED_ROUNDS if len(pressed) >= FEWEST_FOR_GAIN else 0):
-        cubics = _shared(dented, dents, np.array(poses))
-        poses = list(map(_placed, dented, repeat(dents), poses, cubics))
     if len(pressed) >= FEWEST_FOR_GAIN:
-        *off_px, darker = np.median([*map(_level, dented, repeat(dents), poses, repeat(small))], axis=0)
-        if darker > _DARKER:
-            poses = [pose + np.array([*off_px, 0.0]) for pose in poses]
+        for _ in range(_SHARED_ROUNDS):
+            cubics = _shared(dented, dents, np.array(poses))
+            placed = zip(dented, poses, cubics, strict=True)
+            poses = [_placed(change, dents, pose, cubic) for change, pose, cubic in placed]
+        level = [_level(change, dents, pose, small) for change, pose in zip(dented, poses, strict=True)]
+        x_px, y_px, darker = np.median(level, axis=0)
+        if darker > _LEAST_DARKENING:
+            poses = [pose + np.array([x_px, y_px, 0.0]) for pose in poses]
     cubics = _shared(dented, dents, np.array(poses))
     for number, pose, cubic in zip(pressed, poses, cubics, strict=True):
         found[number] = _mark(own[number], small, changes[number], dents, pose, cubic, scale)
