@@ -26,11 +26,6 @@ from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, Labels, with_labels
 
 
-@pytest.fixture(scope="module")
-def short(profile):
-    return profile.replace(source_epochs=2, adapt_epochs=1)
-
-
 def on(frames: ArrayFrames, *axes: str, **columns) -> ArrayFrames:
     """Return the frames with only these axes of the force, and further columns."""
     kept = {
