@@ -238,12 +238,7 @@ def _run(function: Callable[[Study, Setting], Results], study: Study, run: Setti
 
 
 def adapt_run(study: Study, run: Setting) -> Results:
-    """Do one run and return what its record needs."""
-    return trained(study, run)[2]
-
-
-def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
-    """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
+    """Train both stages of a run; return what its record needs, with errors on the target's test frames, by axis.
 
     A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
     with the errors of the source's mean force. Times are the processor's; `stage1_s` is 0 where another run had trained
@@ -256,7 +251,7 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     stage1 = study.stage1(run, frames.source_train)
     stage1_s = train_once(stage1, run["method"])
     done, model = Group(frames, stage1).run(run["method"])
-    results = {
+    return {
         "versions": versions_line(),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         "control": control_of(run["method"]),
@@ -282,7 +277,6 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
             else model.predict_n(frames.target_test)
         ).astype(np.float32),
     }
-    return frames, model, results
 
 
 def state_digest(model: "ForceModel") -> str:
