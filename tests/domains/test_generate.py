@@ -137,11 +137,6 @@ def test_a_damaged_manifest_is_an_error_that_says_what_to_do(make, copy: Path):
         make(copy)
 
 
-def test_a_cluster_without_workers_is_refused(make, tmp_path: Path):
-    with pytest.raises(ValueError, match="workers = 0: must be 1 or more"):
-        make(tmp_path, scheduler=None, workers=0)
-
-
 def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
     with sole_use(tmp_path), pytest.raises(RuntimeError, match=r"another process .pid.* is writing"):
         make(tmp_path)

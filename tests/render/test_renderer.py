@@ -197,6 +197,18 @@ def test_behind_an_led_s_face_its_light_is_black_and_the_others_add_up(dent):
     assert top_bar_alone.max() > 0.05
 
 
+def test_a_large_sphere_is_rendered_where_the_view_reaches_behind_the_lights(dent):
+    sensor = Sensor.preset("gelsight-2014-like")
+    wide = sensor.camera.model_copy(update={"horizontal_field_of_view_deg": 78.0})
+    light = Illumination.preset("i0")
+    render = MembraneRenderer(sensor.model_copy(update={"camera": wide}), light, (64, 48), "draft")
+    beyond_mm = max(abs(led.position_mm[0]) for led in light.leds)
+    assert render.lattice.x_mm[-1] > beyond_mm
+    for point_mm in ((-14.0, 0.0), (14.0, 0.0)):
+        membrane = dent(1.6, point_mm=point_mm, half_extent_mm=(22.0, 17.0), radius_mm=10.5)
+        assert np.isfinite(render.linear(*membrane)).all()
+
+
 @pytest.mark.parametrize("specular", [0.0, 1.0])
 def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, specular):
     sensor = renderer("i0").sensor.model_copy(update={"coating": Coating(specular=specular, roughness=0.3)})
