@@ -1,11 +1,11 @@
 """Labels as data have them: any of them, each with a range; a reference and groups of their own; several data sets."""
 
-import csv
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from real_clones import write_table
 
 from gelgap.domains import ArrayFrames, Labels, join_domains, open_domain, verify_domain, with_labels
 from gelgap.domains.frames.first_touch import trajectory_of
@@ -21,10 +21,7 @@ def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None 
         write(folder / row.setdefault("picture", f"clips/{number}.png"), 10 * number)
     for name, level in (references or {"reference.png": 200}).items():
         write(folder / name, level)
-    with (folder / "table.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(folder / "table.csv", rows)
     return folder
 
 
