@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from picture_folders import forces_of, write_pictures
 
+from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames
 
 PROCESSES = 2
@@ -88,8 +89,6 @@ def test_a_second_process_on_one_output_is_refused_and_says_by_whom(
     tmp_path: Path,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    from gelgap.cli.main import main
-
     out = tmp_path / "out"
     (out / "run").mkdir(parents=True)
     (out / "run" / "run.json").write_text("{}")
@@ -136,8 +135,6 @@ def paused(arguments: list[str], module: str, function: str) -> subprocess.Popen
 
 def second(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, str, str]:
     """Run a command in this process at the same time; return its exit code, its output and its errors."""
-    from gelgap.cli.main import main
-
     code = 0
     try:
         main(arguments)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from picture_folders import forces_of, write_pictures
 
 from gelgap.adapt import ForceModel, Profile, adapt, own_code, train_source, use_backbone
@@ -131,8 +132,6 @@ def test_a_profile_takes_no_name_whose_code_was_not_named_by_the_user(profile):
 
 
 def test_what_needs_a_resnet_says_so(profile, source, stage1):
-    import torch
-
     own = profile.replace(backbone=use_backbone("net.py:maps"), source_epochs=1)
 
     torch.save(stage1.network.backbone.state_dict(), "weights.pt")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.assets import list_presets
+from gelgap.render.imaging import encode, sensor_noise
 from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Coating, Markers, Sensor, marker_rest_mm
@@ -268,8 +269,6 @@ def test_noise_is_drawn_from_the_generator_and_has_the_camera_s_variance(rendere
     one, same, other = (render.reference(rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
-    from gelgap.render.imaging import sensor_noise
-
     camera = render.sensor.camera
     level = np.full((200, 300, 3), 0.3, np.float32)
     noise = sensor_noise(level, camera, np.random.default_rng(0)) - level
@@ -343,8 +342,6 @@ def test_bad_settings_are_refused():
 
 
 def test_a_noisy_picture_is_the_noisy_linear_picture_encoded(renderer):
-    from gelgap.render.imaging import encode, sensor_noise
-
     render = renderer("i0", (64, 48))
     noisy = sensor_noise(render.reference_linear(), render.sensor.camera, np.random.default_rng(4))
     assert np.array_equal(render.reference(rng=np.random.default_rng(4)), encode(noisy))
