@@ -141,8 +141,6 @@ class ResNet(nn.Module):
 
     def __init__(self, name: str, in_channels: int = 3, width: float = 1.0) -> None:
         super().__init__()
-        if name not in RESNETS:
-            raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
         depths, shape = RESNETS[name]
         planes = [round(64 * 2**i * width) for i in range(4)]
         self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)

@@ -49,11 +49,7 @@ class Pretrain(opt.Command):
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
         profile = opt.named(adapt.Profile, self.profile)
-        ranges = (
-            domains.PretrainingRanges.load(self.ranges)
-            if self.ranges
-            else domains.PretrainingRanges.default()
-        )
+        ranges = self.ranges and domains.PretrainingRanges.load(self.ranges)
         width, height = profile.image_size_px
         if self.size[0] < width or self.size[1] < height:
             raise ValueError(

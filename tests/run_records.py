@@ -8,6 +8,7 @@ from typing import Any
 
 from gelgap.adapt.evaluation import BASELINES
 from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.adaptation.board import BY_POINT
 from gelgap.benchmarks.adaptation.groups import load_headline
 from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid
@@ -62,6 +63,11 @@ def write_benchmark(folder: Path, records: Iterable[Record]) -> Path:
 def headline_of(folder: Path, records: Iterable[Record], data: str = "paired"):
     """Return runs as the tables of the headline take them."""
     return load_headline(write_benchmark(folder, records), data)
+
+
+def rows_of(table: ResultTable) -> dict[str, dict[str, str]]:
+    """Return the cells of a table by its first column and by its columns' names."""
+    return {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
 
 
 def look_up_method(study, run: dict[str, Any]) -> dict[str, Any]:

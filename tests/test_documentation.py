@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 from quick_solves import SMALL_RANGES, coarsen, shrink_libraries
@@ -26,6 +27,9 @@ from real_clones import write_ball_clone, write_labelled_pictures, write_recordi
 
 from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
+from gelgap.domains import make_recipes
+from gelgap.render import MembraneRenderer, Sensor, save_sensor
+from gelgap.sim import MembraneState
 
 # --- how each is made quick ------------------------------------------------------------------------------------
 
@@ -106,8 +110,6 @@ def measured_in_this_process(real: Callable) -> Callable:
 
 def smallest_recipes(_: Callable) -> Callable:
     """Make one domain of the tiny path instead of a preset's."""
-    from gelgap.domains import make_recipes
-
     return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
@@ -315,11 +317,6 @@ def write_recordings_to_convert(folder: Path) -> None:
 
 def take_pictures_to_calibrate_with(folder: Path) -> None:
     """Write what `gelgap calibrate` needs: a sensor, its reference, and six presses at different points."""
-    import cv2
-
-    from gelgap.render import MembraneRenderer, Sensor, save_sensor
-    from gelgap.sim import MembraneState
-
     sensor, state = Sensor.preset("digit-like"), MembraneState.load(folder / "state.npz")
     renderer = MembraneRenderer(sensor, sensor.illumination, (160, 120))
     save_sensor(sensor, folder / "start.toml")

@@ -7,7 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from picture_folders import forces_of, write_pictures
+
+from gelgap.cli.main import main
+from gelgap.domains import ArrayFrames
 
 PROCESSES = 2
 SOLVE = """
@@ -49,19 +54,9 @@ def test_several_processes_on_a_cold_cache_solve_once(tmp_path: Path) -> None:
 @pytest.fixture
 def pictures(tmp_path: Path) -> Path:
     """A folder of pictures with a table."""
-    import cv2
-    import numpy as np
-
-    folder = tmp_path / "pictures"
-    folder.mkdir()
-    rng = np.random.default_rng(0)
-    rows = ["image,fx_n,fy_n,fz_n"]
-    for name in ("reference", *map(str, range(40))):
-        cv2.imwrite(str(folder / f"{name}.png"), rng.integers(0, 255, (96, 128, 3), dtype=np.uint8))
-        if name != "reference":
-            rows.append(f"{name}.png,0,0,-0.5")
-    (folder / "forces.csv").write_text("\n".join(rows))
-    return folder
+    images = np.random.default_rng(0).integers(0, 255, (40, 96, 128, 3), dtype=np.uint8)
+    frames = ArrayFrames("pictures", images, images[0], np.tile([0.0, 0.0, -0.5], (40, 1)))
+    return write_pictures(tmp_path / "pictures", frames, **forces_of(frames))
 
 
 def held(folder: Path, name: str = ".lock") -> subprocess.Popen:
@@ -94,8 +89,6 @@ def test_a_second_process_on_one_output_is_refused_and_says_by_whom(
     tmp_path: Path,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    from gelgap.cli.main import main
-
     out = tmp_path / "out"
     (out / "run").mkdir(parents=True)
     (out / "run" / "run.json").write_text("{}")
@@ -142,8 +135,6 @@ def paused(arguments: list[str], module: str, function: str) -> subprocess.Popen
 
 def second(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, str, str]:
     """Run a command in this process at the same time; return its exit code, its output and its errors."""
-    from gelgap.cli.main import main
-
     code = 0
     try:
         main(arguments)
@@ -156,7 +147,7 @@ def second(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, st
 def two_domains(pictures: Path) -> tuple[Path, Path]:
     """Folders of pictures with forces that differ."""
     lines = [f"{number}.png,{number % 5 / 50},{number % 7 / -50},{number / -40}" for number in range(40)]
-    (pictures / "forces.csv").write_text("\n".join(["image,fx_n,fy_n,fz_n", *lines]))
+    (pictures / "table.csv").write_text("\n".join(["image,fx_n,fy_n,fz_n", *lines]))
     target = pictures.with_name("target")
     shutil.copytree(pictures, target)
     return pictures, target

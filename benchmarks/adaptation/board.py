@@ -8,15 +8,13 @@ that a gel takes minutes of a core.
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from gelgap.adapt.methods import registry as known
-
-if TYPE_CHECKING:
-    from gelgap.domains import DomainRecipe, LabelledFrames
-    from gelgap.sim import PosePath
+from gelgap.domains import DomainRecipe, LabelledFrames, in_drawn_lights, make_recipes, own_recipe
+from gelgap.sim import Pose, PosePath
 
 Group = tuple[str, str]
 """Source and target."""
@@ -80,10 +78,8 @@ PAIRED = "paired"
 DATA_SETS = (*BY_ROLE, PAIRED)
 
 
-def contact_path(role: Role) -> "PosePath":
+def contact_path(role: Role) -> PosePath:
     """Return the contacts of a role."""
-    from gelgap.sim import Pose, PosePath
-
     rng = np.random.default_rng([ROLES.index(role), LEVELS])
     depths, travels = (
         np.round(low + (high - low) * (rng.permutation(LEVELS) + rng.random(LEVELS)) / LEVELS, 3)
@@ -125,26 +121,22 @@ def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:
     return 1 + 72 * depth + 12 * travel + round(math.degrees(angle) / 30) % 12
 
 
-def role_recipes(names: Iterable[str], role: Role) -> "tuple[DomainRecipe, ...]":
+def role_recipes(names: Iterable[str], role: Role) -> tuple[DomainRecipe, ...]:
     """Return the recipes of domains as sources or as targets."""
-    from gelgap.domains import make_recipes
-
     names = list(names)
     if not names:
         return ()
     return make_recipes(names, contact_path(role), inpainted=(), quality=QUALITY, seed=ROLES.index(role))
 
 
-def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[DomainRecipe, ...]":
+def random_light_recipes(target: LabelledFrames | None = None) -> tuple[DomainRecipe, ...]:
     """Return domains of the source's gel in random lights: any, or like the target's picture without contact."""
-    from gelgap.domains import in_drawn_lights, own_recipe
-
     name = ANY_LIGHT if target is None else LIKE + target.name
     recipe = own_recipe(name, contact_path("source"), base="wmb0i0", quality=QUALITY, seed=0)
     return in_drawn_lights(recipe, None if target is None else target.reference)
 
 
-def with_shifted_labels(target: "LabelledFrames") -> "LabelledFrames":
+def with_shifted_labels(target: LabelledFrames) -> LabelledFrames:
     """Return a target of which few contacts are deep, as one that is handled more gently than the source."""
     deep = target.columns["depth_mm"] > SHALLOW_MM
     kept = np.random.default_rng(len(deep)).random(len(deep)) < DEEP_SHARE

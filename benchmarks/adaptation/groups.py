@@ -32,6 +32,8 @@ from gelgap.benchmarks.adaptation.study import (
     with_errors,
 )
 from gelgap.benchmarks.common import RESAMPLES, Setting, drawn_means, interval
+from gelgap.domains import make_recipes
+from gelgap.sim import ContactPath
 
 SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
@@ -56,9 +58,6 @@ CAVEAT = (
 
 def measure(study: Study) -> None:
     """Do the missing runs: of a seed the upper bounds, then all methods; those on shifted labels come last."""
-    from gelgap.domains import make_recipes
-    from gelgap.sim import ContactPath
-
     chosen = study.known_methods()
     if study.is_quick:  # the domains at their least: nine points of four poses at draft quality
         path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))

@@ -26,6 +26,7 @@ from gelgap.benchmarks.adaptation.groups import (
 )
 from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs
 from gelgap.benchmarks.common import Setting
+from gelgap.domains.drawn_lights import CANDIDATES, LIGHTS
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
 INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
@@ -120,8 +121,6 @@ def input_tables(folder: Path) -> list[ResultTable]:
 
 def light_tables(folder: Path) -> list[ResultTable]:
     """Return what training in random lights closes, beside adaptation from one light to the same targets."""
-    from gelgap.domains.drawn_lights import CANDIDATES, LIGHTS
-
     note = (
         f" Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
         f"are the nearest of {CANDIDATES} by its picture without contact."

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt.evaluation import evaluate_predictions
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.names import is_plain_name
 from gelgap.benchmarks.adaptation import board
@@ -78,7 +79,7 @@ def entries(folder: Path) -> pd.DataFrame:
         If the runs of a place on one input are not all of one configuration.
     """
     source_of = {target: source for source, target in GROUPS}
-    shown = {changes: name for name, changes in _inputs().items()}
+    shown = {changes_of(name): name for name in INPUTS}
     found = []
     for file in (RUNS, INPUT_RUNS, LIGHT_RUNS):
         runs = load_runs(folder / file)
@@ -94,12 +95,6 @@ def entries(folder: Path) -> pd.DataFrame:
         runs = runs.assign(method=runs["method"].where(name == "pictures", runs["method"] + " / " + name))
         found.append(runs[(runs["source"] == own) | name.isin(list(SOURCES))].assign(source=own))
     return with_errors(pd.concat(found).drop_duplicates(["data", "target", "method", "seed"]))
-
-
-def _inputs() -> dict[str, board.Changes]:
-    from gelgap.adapt.inputs import INPUTS
-
-    return {name: changes_of(name) for name in INPUTS}
 
 
 def handed_in(

@@ -10,23 +10,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from gelgap.adapt import ForceModel, Profile, split_for_training
+from gelgap.adapt.data import SplitFrames
+from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
+from gelgap.adapt.runs import Group, Stage1, versions
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
-
-if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile
-    from gelgap.adapt.data import SplitFrames
-    from gelgap.adapt.runs import Stage1
-    from gelgap.domains import DomainRecipe, LabelledFrames
-    from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.domains import DomainRecipe, LabelledFrames, generate_recipes, join_domains, open_domain
+from gelgap.domains.frames.stored import GeneratedDomain
 
 RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
@@ -92,8 +91,6 @@ class Study:
 
     def known_methods(self) -> tuple[str, ...]:
         """Return the chosen methods, if any, each after its controls; classes of one's own are known from now on."""
-        from gelgap.adapt.methods.registry import use_method
-
         found: list[str] = []
         for method in map(use_method, self.methods):
             own = [method]
@@ -102,10 +99,8 @@ class Study:
             found += own
         return tuple(dict.fromkeys(found))
 
-    def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
+    def generate(self, recipes: Sequence[DomainRecipe], data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set, if there are any."""
-        from gelgap.domains import generate_recipes
-
         if not recipes:
             return
         scheduler = "synchronous" if self.workers == 1 else None
@@ -154,15 +149,13 @@ class Study:
         """Return why a run stopped, or else its mean error."""
         return record["problem"] or f"{np.mean(record['mae_n']):.3f} N"
 
-    def profile_of(self, run: Setting) -> "Profile":
+    def profile_of(self, run: Setting) -> Profile:
         """Return the preset with the changes of a run; of the methods' settings its own alone."""
-        from gelgap.adapt import Profile
-
         profile, method = Profile.preset(self.profile), run["method"]
         own = profile.settings.get(method)
         return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
 
-    def domains_of(self, run: Setting) -> "list[GeneratedDomain]":
+    def domains_of(self, run: Setting) -> list[GeneratedDomain]:
         """Return the source of a run, or its several domains in random light, and last the target."""
         folder, source, target = (self.data / run["data"]).resolve(), run["source"], run["target"]
         if run["data"] not in board.BY_ROLE:
@@ -175,11 +168,8 @@ class Study:
             own = sorted(as_source.glob(f"{source}-*"))
         return [*map(_domain, own), _domain(as_target / target)]
 
-    def frames_of(self, run: Setting) -> "SplitFrames":
+    def frames_of(self, run: Setting) -> SplitFrames:
         """Return the frames of a run, divided for training and judging."""
-        from gelgap.adapt import split_for_training
-        from gelgap.domains import join_domains
-
         *sources, target = self.domains_of(run)
         if run["data"] == board.LABEL_SHIFT:
             target = board.with_shifted_labels(target)
@@ -188,8 +178,6 @@ class Study:
 
     def stated_of(self, run: Setting) -> Results:
         """Return what the record of a run states of its profile, its method and its data."""
-        from gelgap.adapt.methods.registry import method_code
-
         profile, method = self.profile_of(run), run["method"]
         data = [(domain.recipe.key, domain.digest) for domain in self.domains_of(run)]
         return {
@@ -199,24 +187,20 @@ class Study:
             "code_sha256": method_code(method),
         }
 
-    def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
+    def stage1(self, run: Setting, source_train: LabelledFrames) -> Stage1:
         """Return the first stage of a run, whose checkpoint all methods of a group, split and seed share."""
-        from gelgap.adapt.runs import Stage1
-
         return Stage1(source_train, self.profile_of(run), run["seed"], None, self.out)
 
 
-def train_once(stage1: "Stage1", method: str) -> float:
+def train_once(stage1: Stage1, method: str) -> float:
     """Train the first stage that a method needs, or wait until another has; return its processor time now, s."""
-    from gelgap.adapt.methods.registry import find_method
-
     if not find_method(method).needs_stage_1:
         return 0.0
     with key_lock(stage1.checkpoint.parent, stage1.checkpoint.name):
         return stage1.model()[1]
 
 
-def configuration_of(profile: "Profile", *data: Any) -> str:
+def configuration_of(profile: Profile, *data: Any) -> str:
     """Return a hash of all that methods have in common: a profile without their settings, and recipe and files of data.
 
     The files hold labels and pictures, so that pictures of another processor are another configuration.
@@ -226,9 +210,7 @@ def configuration_of(profile: "Profile", *data: Any) -> str:
 
 
 @cache
-def _domain(folder: Path) -> "GeneratedDomain":
-    from gelgap.domains import open_domain
-
+def _domain(folder: Path) -> GeneratedDomain:
     return open_domain(folder)
 
 
@@ -238,25 +220,17 @@ def _run(function: Callable[[Study, Setting], Results], study: Study, run: Setti
 
 
 def adapt_run(study: Study, run: Setting) -> Results:
-    """Do one run and return what its record needs."""
-    return trained(study, run)[2]
-
-
-def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
-    """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
+    """Train both stages of a run; return what its record needs, with errors on the target's test frames, by axis.
 
     A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
     with the errors of the source's mean force. Times are the processor's; `stage1_s` is 0 where another run had trained
     the checkpoint.
     """
-    from gelgap.adapt.methods.registry import find_method
-    from gelgap.adapt.runs import Group
-
     frames = study.frames_of(run)
     stage1 = study.stage1(run, frames.source_train)
     stage1_s = train_once(stage1, run["method"])
     done, model = Group(frames, stage1).run(run["method"])
-    results = {
+    return {
         "versions": versions_line(),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         "control": control_of(run["method"]),
@@ -282,10 +256,9 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
             else model.predict_n(frames.target_test)
         ).astype(np.float32),
     }
-    return frames, model, results
 
 
-def state_digest(model: "ForceModel") -> str:
+def state_digest(model: ForceModel) -> str:
     """Return the SHA-256 of a model's weights and running statistics: who has the same starts where this run did."""
     state = model.network.state_dict().items()
     return sha256(
@@ -295,8 +268,6 @@ def state_digest(model: "ForceModel") -> str:
 
 def versions_line() -> str:
     """Return the versions that a record names."""
-    from gelgap.adapt.runs import versions
-
     return "gelgap {gelgap}, torch {torch}".format_map(versions())
 
 
@@ -306,8 +277,6 @@ def control_of(method: str) -> str | None:
     Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
     2 without a loss.
     """
-    from gelgap.adapt.methods.registry import find_method
-
     found = find_method(method)
     if method in _CONTROLS or not found.uses_target or found.uses_target_labels:
         return _CONTROLS.get(method)

@@ -99,11 +99,11 @@ class Case:
         return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
 
 
-def solved_cases(cases: Iterable[Case], folder: Path, processes: int | None = None) -> dict[Case, Any]:
+def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:
     """Solve cases, each in a fresh process, the slowest first; return what `_solved` says of each, and its `states`.
 
     What the folder has of the same solve and the same code of the simulator is read. There are as many processes at a
-    time as cores, unless it is said how many.
+    time as cores.
     """
     ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
     if not ordered:
@@ -116,9 +116,7 @@ def solved_cases(cases: Iterable[Case], folder: Path, processes: int | None = No
         for case in ordered
     ]
     solves = {key_of(setting): case.solve for setting, case in zip(settings, ordered, strict=True)}
-    found = run_missing(
-        partial(_solved, solves), settings, folder / "solved.jsonl", workers=processes, tasks_per_worker=1
-    )
+    found = run_missing(partial(_solved, solves), settings, folder / "solved.jsonl", tasks_per_worker=1)
     found["solution"] = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
     found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
     return dict(zip(ordered, found.itertuples(), strict=True))

@@ -35,12 +35,8 @@ def press_cases() -> dict[str, Case]:
     rows = pd.read_csv(asset_path("reference", "force_depth.csv"))
     rows = rows[rows["energy"].str.contains("neo-Hookean")]
     isochoric = rows["energy"].str.startswith("isochoric")
-    rows = rows.assign(
-        body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
-        strain_energy=np.where(isochoric, "isochoric", "stable-neo-hookean"),
-        off_percent=RADIUS_UNCERTAINTY_PERCENT,
-    )
-    return tabled_cases("presses", rows, "profiles/{}.csv")
+    energy = np.where(isochoric, "isochoric", "stable-neo-hookean")
+    return tabled_cases("presses", of_spheres(rows, energy), "profiles/{}.csv")
 
 
 def tabled_sphere() -> Case:
@@ -53,12 +49,13 @@ def tabled_sphere() -> Case:
 def held_back_cases() -> dict[str, Case]:
     """Return presses of spheres that no other table and no calibration has."""
     rows = pd.read_csv(asset_path("reference", "spheres", "held_back.csv"))
-    rows = rows.assign(
-        body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
-        strain_energy="isochoric",
-        off_percent=RADIUS_UNCERTAINTY_PERCENT,
-    )
-    return tabled_cases("held back", rows, "spheres/{}_profile.csv")
+    return tabled_cases("held back", of_spheres(rows, "isochoric"), "spheres/{}_profile.csv")
+
+
+def of_spheres(rows: pd.DataFrame, strain_energy: Any) -> pd.DataFrame:
+    """Return presses with their spheres and what their tables do not state."""
+    body = [Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]]
+    return rows.assign(body=body, strain_energy=strain_energy, off_percent=RADIUS_UNCERTAINTY_PERCENT)
 
 
 def shape_cases() -> tuple[Case, ...]:

@@ -11,3 +11,8 @@ from gelgap.domains import ArrayFrames
 @pytest.fixture(scope="session")
 def stage1(source: ArrayFrames, target: ArrayFrames, profile: Profile) -> ForceModel:
     return train_source(split_for_training(source, target, profile, 0).source_train, profile, seed=0)
+
+
+@pytest.fixture(scope="session")
+def short(profile: Profile) -> Profile:
+    return profile.replace(source_epochs=2, adapt_epochs=1)

@@ -133,7 +133,5 @@ def test_what_has_no_first_touch_is_refused_or_said(caplog):
     ):
         with pytest.raises(ValueError, match=message):
             split_for_training(without, frames, TOUCH, 0)
-    with pytest.raises(ValueError, match="split_by = 'random' divides trajectory"):
-        split_for_training(frames, frames, TOUCH.replace(split_by="random"), 0)
     with pytest.raises(ValueError, match="input touch cannot show fx_n: training turns dents"):
         split_for_training(frames, frames, TOUCH, 0, labels=["fx_n", "fz_n"])

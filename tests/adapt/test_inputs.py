@@ -163,6 +163,7 @@ def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
         ({"input": "calibrated", "pairing": "stack"}, "needs pairing 'difference'"),
         ({"input": "grey", "colour_mixing": 0.5}, "has no colours to mix"),
         ({"input": "markers", "marker_hiding": 0.5}, "marker_hiding must be 0"),
+        ({"marker_hiding": 1.5}, "marker_hiding"),
         (
             {"input": "touch", "shift_px": 3},
             "input touch: shows how far a dent is from its place; shift_px must be 0",

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from picture_folders import forces_of, write_pictures
 
 from gelgap.adapt import ForceModel, Profile, adapt, own_code, train_source, use_backbone
 from gelgap.adapt.network import OwnBackbone
@@ -86,7 +88,7 @@ def test_the_name_holds_no_folder_and_changes_with_the_code(own_file, profile):
 def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_file, source, capsys, refused):
     (own_file.parent / "net.toml").write_text('base = "smoke"\nbackbone = "net.py:maps"\n')
     assert Profile.load("net.toml").backbone == use_backbone("net.py:maps")
-    write_pictures(own_file.parent / "real", source)
+    write_pictures(own_file.parent / "real", source, **forces_of(source))
     (own_file.parent / "short.toml").write_text(
         'base = "smoke"\nsource_epochs = 1\nimage_size_px = [40, 32]\n'
     )
@@ -101,18 +103,6 @@ def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_fi
     main(["export-model", model, "-o", "model.onnx", "--backbone", "net.py:maps"])
     assert "wrote model.onnx: picture and reference of 40×32 px" in capsys.readouterr().out
     assert "has the backbone net.py:maps#" in refused(*command, "--backbone", "net.py:features")
-
-
-def write_pictures(folder: Path, frames) -> None:
-    import cv2
-
-    folder.mkdir()
-    cv2.imwrite(str(folder / "reference.png"), frames.reference[..., ::-1])
-    rows = ["image,fx_n,fy_n,fz_n"]
-    for number, picture in enumerate(frames.images()):
-        cv2.imwrite(str(folder / f"{number}.png"), picture[..., ::-1])
-        rows.append(",".join([f"{number}.png", *map(str, frames.force_n[number])]))
-    (folder / "table.csv").write_text("\n".join(rows))
 
 
 @pytest.mark.parametrize(
@@ -142,8 +132,6 @@ def test_a_profile_takes_no_name_whose_code_was_not_named_by_the_user(profile):
 
 
 def test_what_needs_a_resnet_says_so(profile, source, stage1):
-    import torch
-
     own = profile.replace(backbone=use_backbone("net.py:maps"), source_epochs=1)
 
     torch.save(stage1.network.backbone.state_dict(), "weights.pt")

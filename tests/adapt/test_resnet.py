@@ -62,11 +62,6 @@ def test_networks_too_narrow_for_every_processor_are_refused():
         Profile.preset("smoke").replace(width=0.0625)
 
 
-def test_unknown_backbone():
-    with pytest.raises(ValueError, match="known backbones: resnet18, resnet50"):
-        ResNet("vgg")
-
-
 def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
     """Both stages of the paper's profile, three steps each: ResNet-50, bfloat16, weights from a file."""
     paper = Profile.preset("paper")

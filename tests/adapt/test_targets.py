@@ -1,22 +1,16 @@
 """Targets without labels or with some, several targets and profiles, and a choice among runs without labels."""
 
 import json
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from picture_folders import write_pictures
 
 from gelgap.adapt import adapt_folders, evaluate, finetune, load_predictions, load_run, split_for_training
 from gelgap.adapt.report import selection_table, write_report
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, Labels
-
-
-@pytest.fixture(scope="module")
-def short(profile):
-    return profile.replace(source_epochs=2, adapt_epochs=1)
 
 
 def pictures(frames: ArrayFrames, name: str, **columns) -> ArrayFrames:
@@ -29,19 +23,6 @@ def some_labels(frames: ArrayFrames, name: str, labelled: int, **columns) -> Arr
     force_n = frames.force_n.astype(float)
     force_n[labelled:] = np.nan
     return ArrayFrames(name, frames.images(), frames.reference, force_n, **columns)
-
-
-def folder_of(path: Path, frames: ArrayFrames, labelled: int | None = None) -> Path:
-    """Write pictures, and a table in which the first ones have Fz; without a number there is no table."""
-    path.mkdir()
-    cv2.imwrite(str(path / "reference.png"), frames.reference[..., ::-1])
-    rows = ["picture,fz_n"]
-    for index in range(len(frames)):
-        cv2.imwrite(str(path / f"{index}.png"), frames.picture(index)[..., ::-1])
-        rows.append(f"{index}.png,{frames.columns['fz_n'][index] if index < (labelled or 0) else ''}")
-    if labelled is not None:
-        (path / "table.csv").write_text("\n".join(rows))
-    return path
 
 
 def test_pictures_alone_have_no_labels(target):
@@ -184,8 +165,9 @@ def test_several_targets_and_profiles_share_stage_1_and_one_run_is_chosen_for_ea
 
 
 def test_the_command_takes_folders_of_pictures(source, target, short, tmp_path, capsys):
-    learnt = folder_of(tmp_path / "learnt", source, 96)
-    alone, some = folder_of(tmp_path / "alone", target), folder_of(tmp_path / "some", target, 12)
+    learnt = write_pictures(tmp_path / "learnt", source, fz_n=source.columns["fz_n"])
+    alone = write_pictures(tmp_path / "alone", target)
+    some = write_pictures(tmp_path / "some", target, fz_n=some_labels(target, "some", 12).columns["fz_n"])
     (tmp_path / "tiny.toml").write_text(
         'base = "smoke"\nwidth = 0.125\nimage_size_px = [40, 32]\nsource_epochs = 1\nadapt_epochs = 1\n'
     )
@@ -205,13 +187,13 @@ def test_the_command_takes_folders_of_pictures(source, target, short, tmp_path, 
 
 def test_few_labels_are_drawn_from_the_frames_that_have_them(stage1, target, tmp_path):
     stage1.save(tmp_path / "model.pt")
-    some = folder_of(tmp_path / "some", target, 12)
+    some = write_pictures(tmp_path / "some", target, fz_n=some_labels(target, "some", 12).columns["fz_n"])
     found = finetune(tmp_path / "model.pt", some, some, frames=5)
     assert (found.frames, found.after.n, found.unlabelled) == (5, 7, 84)
     assert "84 frames without labels" in str(found)
     with pytest.raises(ValueError, match="k = 13 labelled frames of some: must be 1 to 12"):
         finetune(tmp_path / "model.pt", some, some, frames=13)
-    alone = folder_of(tmp_path / "alone", target)
+    alone = write_pictures(tmp_path / "alone", target)
     with pytest.raises(ValueError, match="predicts fx_n, fy_n, fz_n, none of which both alone and some have"):
         finetune(tmp_path / "model.pt", alone, some, frames=3)
 

@@ -331,8 +331,7 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target
     assert "Failed, and counted with the source's mean force: collapsing on mb0i0 → wmb1i1, seed 0" in report
 
 
-def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile, tmp_path):
-    short = profile.replace(source_epochs=2, adapt_epochs=1)
+def test_runs_are_folders_and_nothing_is_computed_twice(source, target, short, tmp_path):
     runs = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
     assert runs[1].core_s["stage1"] == 0
     again = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
@@ -392,8 +391,7 @@ def test_two_runs_into_one_folder_are_not_mixed(source, target, profile, tmp_pat
     assert adapt_folders(source, target, ["dsan"], short, out_dir=tmp_path) == runs
 
 
-def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_path):
-    short = profile.replace(source_epochs=2, adapt_epochs=1)
+def test_another_method_joins_while_stage_2_runs(source, target, short, tmp_path):
     joined = []
 
     def join(title, done, total, message):
@@ -406,8 +404,7 @@ def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_pa
     assert len(load_runs(tmp_path)) == 2
 
 
-def test_without_a_folder_stage_1_is_trained_once(source, target, profile):
-    short = profile.replace(source_epochs=2, adapt_epochs=1)
+def test_without_a_folder_stage_1_is_trained_once(source, target, short):
     titles = []
     methods = ["source-only", "adabn", "adabn"]
     runs = adapt_folders(source, target, methods, short, progress=lambda title, *_: titles.append(title))

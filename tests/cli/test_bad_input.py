@@ -1,7 +1,7 @@
 """Each check that an option has refuses a wrong value in one sentence, before anything starts."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -78,11 +78,9 @@ def test_a_wrong_value_is_one_sentence_and_nothing_is_written(
     assert os.listdir() == ["file.txt"]
 
 
-def test_two_outputs_do_not_share_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["press", "--save", str(tmp_path / "a.npz"), "--traction", f"{tmp_path}/./a.npz"])
-    assert stop.value.code == 2
-    assert "--save and --traction name the same file" in capsys.readouterr().err
+def test_two_outputs_do_not_share_a_file(refused: Callable[..., str], tmp_path: Path) -> None:
+    words = ("press", "--save", tmp_path / "a.npz", "--traction", f"{tmp_path}/./a.npz")
+    assert "--save and --traction name the same file" in refused(*words)
 
 
 def options_of(command: str, field: str) -> set[str]:

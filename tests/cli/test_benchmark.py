@@ -33,10 +33,7 @@ def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
     ],
 )
 def test_what_a_benchmark_does_not_take_is_refused_before_anything_is_written(
-    arguments, message, tmp_path, capsys
+    arguments, message, tmp_path, refused
 ):
-    with pytest.raises(SystemExit) as stopped:
-        main(["benchmark", *arguments, "--out", str(tmp_path / "out")])
-    assert stopped.value.code == 2
-    assert message in capsys.readouterr().err
+    assert message in refused("benchmark", *arguments, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

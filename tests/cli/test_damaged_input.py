@@ -72,17 +72,6 @@ def test_an_undecodable_picture_is_named_with_its_data_set_frame_and_how_to_find
     assert "--verify" in line
 
 
-def test_a_flipped_bit_in_a_shard_stops_the_command_that_reads_it(files: Path, refused) -> None:
-    folder = files / "data" / "mb0i0"
-    (shard,) = folder.glob("frames-*.parquet")
-    data = bytearray(shard.read_bytes())
-    data[len(data) // 2] ^= 1
-    shard.write_bytes(data)
-    line = refused("adapt", "--source", folder, "--target", folder, "--out", files / "out", code=1)
-    assert f"mb0i0/{shard.name} is damaged" in line
-    assert "--verify" in line
-
-
 def test_small_forces_leave_the_papers_range_as_it_is(files: Path) -> None:
     frames = open_domain(files / "pictures")
     assert frames.force_range_n.tolist() == [[-0.75, 0.75], [-0.75, 0.75], [-3.0, 0.0]]

@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from picture_folders import forces_of, write_pictures
 
 from gelgap.adapt.methods import registry
 from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
-from gelgap.domains import make_recipes, own_recipe
+from gelgap.domains import ArrayFrames, make_recipes, own_recipe
 from gelgap.sim import Elastomer, Sphere
 
 GEL = 'description = "soft"\nyoung_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\nthickness_mm = 4.0\n'
@@ -135,14 +136,10 @@ def test_a_wrong_table_inside_a_file_is_not_printed_whole(
 @pytest.fixture
 def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Stand in a folder with 30 random pictures and forces in `real`, a small profile and a method."""
-    real, rng = tmp_path / "real", np.random.default_rng(0)
-    real.mkdir()
-    rows = ["image,fx_n,fy_n,fz_n"]
-    for name in ["reference", *map(str, range(30))]:
-        cv2.imwrite(str(real / f"{name}.png"), rng.integers(0, 255, (48, 64, 3), np.uint8))
-        if name != "reference":
-            rows.append(f"{name}.png,{rng.random() / 2},0.1,{-rng.random()}")
-    (real / "table.csv").write_text("\n".join(rows))
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (30, 48, 64, 3), np.uint8)
+    frames = ArrayFrames("real", images, images[0], rng.uniform([0, 0, -1], [0.5, 0.1, 0], (30, 3)))
+    write_pictures(tmp_path / "real", frames, **forces_of(frames))
     (tmp_path / "mine.toml").write_text(
         'base = "smoke"\nsource_epochs = 1\nadapt_epochs = 1\nbatch_size = 8\n'
     )

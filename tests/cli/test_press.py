@@ -1,4 +1,4 @@
-"""`gelgap press` under load control."""
+"""`gelgap press`: to a force, with a twist, with a body from a file, and written as a mesh."""
 
 import json
 from collections.abc import Callable
@@ -10,25 +10,15 @@ import trimesh
 from gelgap.cli.main import main
 
 
-def test_press_to_a_force(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["press", "--force-n", "0.2", "--quality", "draft", "--json"])
+def test_a_press_to_a_force_is_written_as_a_mesh(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    main(["press", "--force-n", "0.2", "--quality", "draft", "--json", "--mesh", str(tmp_path / "out.ply")])
     report = json.loads(capsys.readouterr().out)
     assert report["force_n"][2] == pytest.approx(-0.2, rel=0.01)
-    assert 0.2 < report["settings"]["pose"]["depth_mm"] < 0.6
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--depth-mm", "0.2"], ("depth_mm", "force_n")),
-        (["--force-n", "-1"], ("--force-n", "-1")),
-    ],
-)
-def test_bad_load_control_is_refused(
-    options: list[str], words: tuple[str, ...], refused: Callable[..., str]
-) -> None:
-    message = refused("press", "--force-n", "0.2", *options)
-    assert all(word in message for word in words)
+    depth_mm = report["settings"]["pose"]["depth_mm"]
+    assert 0.2 < depth_mm < 0.6
+    low, high = trimesh.load(tmp_path / "out.ply").bounds
+    assert low[2] == pytest.approx(-depth_mm, abs=0.01)
+    assert high[2] == pytest.approx(3.0 - depth_mm, abs=1e-3)
 
 
 def test_a_press_may_twist(capsys: pytest.CaptureFixture[str], refused: Callable[..., str]) -> None:

@@ -64,12 +64,6 @@ def test_the_number_of_workers_is_the_clusters_own(scheduler: str, make, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-def test_a_scheduler_that_is_no_address_is_refused_before_anything_is_written(make, tmp_path: Path):
-    with pytest.raises(ValueError, match=r"scheduler 'foo' must be synchronous .* or the address of a Dask"):
-        make(tmp_path, scheduler="foo")
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "127.0.0.1:99999"])
 def test_a_scheduler_that_does_not_answer_is_known_before_anything_is_written(address, make, tmp_path: Path):
     with pytest.raises(RuntimeError, match=f"no Dask scheduler answers at {address} .*dask scheduler"):

@@ -9,11 +9,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from torch import Generator, equal
+from torch.utils.data import DataLoader
 
 from gelgap.assets.image_file import decode_image
 from gelgap.domains.formats.pictures import decode_column, encode_png, resized
 from gelgap.domains.frames.dataset import ArrayFrames
 from gelgap.domains.frames.folders import open_domain
+from gelgap.domains.frames.stored import clear_picture_cache
 from gelgap.sim.estimate import Diagnostics
 
 
@@ -297,9 +300,6 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
 
 
 def test_a_plain_data_loader_gives_the_same_batches(data: Path):
-    from torch import Generator, equal
-    from torch.utils.data import DataLoader
-
     pairs = open_domain(data / "mb0i1").torch((40, 30))
     plain = DataLoader(pairs, 8, shuffle=True, num_workers=2, generator=Generator().manual_seed(3))
     batches = list(zip(plain, pairs.loader(batch_size=8, seed=3, workers=2), strict=True))
@@ -310,8 +310,6 @@ def test_a_plain_data_loader_gives_the_same_batches(data: Path):
 def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from gelgap.domains.frames.stored import clear_picture_cache
-
     shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))
     monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
     open_domain(tmp_path / "copy").images(32)

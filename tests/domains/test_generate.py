@@ -1,17 +1,21 @@
 import dataclasses
 import itertools
 import json
+import os
+import platform
 import shutil
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from gelgap.assets.locks import sole_use
 from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.splits import split_frames
+from gelgap.domains.generation import cluster
 from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Pose, PosePath
@@ -137,11 +141,6 @@ def test_a_damaged_manifest_is_an_error_that_says_what_to_do(make, copy: Path):
         make(copy)
 
 
-def test_a_cluster_without_workers_is_refused(make, tmp_path: Path):
-    with pytest.raises(ValueError, match="workers = 0: must be 1 or more"):
-        make(tmp_path, scheduler=None, workers=0)
-
-
 def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
     with sole_use(tmp_path), pytest.raises(RuntimeError, match=r"another process .pid.* is writing"):
         make(tmp_path)
@@ -150,8 +149,6 @@ def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
 def test_an_interrupted_run_keeps_what_it_finished(
     make, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from gelgap.domains.generation import cluster
-
     rendered = cluster.render_batch
 
     def fails_at_the_third(batch, *rest):
@@ -173,8 +170,6 @@ def test_an_interrupted_run_keeps_what_it_finished(
 def test_a_full_disk_is_one_sentence_and_loses_nothing(
     make, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    import os
-
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -190,8 +185,6 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
 def test_too_small_a_disk_is_told_before_anything_is_solved(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    import shutil
-
     monkeypatch.setattr("gelgap.domains.generation.generate.run", lambda *_: pytest.fail("solved"))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 6000))
     with pytest.raises(RuntimeError, match=r"about \d+ MB are needed in .*make room"):
@@ -201,8 +194,6 @@ def test_too_small_a_disk_is_told_before_anything_is_solved(
 def test_a_pose_that_did_not_converge_is_written_without_a_picture(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    import pyarrow.parquet as pq
-
     solved, frames = SolvePlan.state, itertools.count()
 
     def state(self, *given):
@@ -283,8 +274,6 @@ def test_membranes_that_mostly_cannot_be_rendered_stop_the_run(
 
 
 def test_the_manifest_holds_no_time_and_no_host(finished: Path):
-    import platform
-
     manifest = (finished / "mb0i0" / "manifest.json").read_text()
     assert platform.node() not in json.loads(manifest).values()
     assert not any(word in manifest for word in ('"time"', '"host"', str(finished)))

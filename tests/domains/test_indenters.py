@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from gelgap.domains import (
@@ -44,8 +45,6 @@ def test_each_indenter_goes_the_whole_path(folder: Path) -> None:
 
 
 def test_six_axes_and_forces_by_cell_belong_together(folder: Path) -> None:
-    import pyarrow.parquet as pq
-
     table = pq.read_table(next(folder.glob("*.parquet"))).to_pydict()
     force = np.stack([table[f"f{axis}_n"] for axis in "xyz"], axis=1)
     cells = np.array(table["traction_n"]).reshape(9, 24, 32, 3)

@@ -2,9 +2,12 @@ import re
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from gelgap.domains import verify_domain
+from gelgap.domains.formats.export import export
 from gelgap.domains.frames.folders import domain_folders
 from gelgap.domains.inspection import inspect_domain, write_overview
 
@@ -60,8 +63,6 @@ def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path
 
 
 def test_a_page_of_real_data_leaves_out_what_is_not_known(tmp_path: Path, data: Path):
-    from gelgap.domains.formats.export import export
-
     export(data / "mb0i1", "paper", tmp_path / "out")
     page = write_overview(tmp_path / "out" / "mb0i1", tmp_path / "page.html").read_text()
     assert "<h2>Gap</h2>" not in page
@@ -69,9 +70,6 @@ def test_a_page_of_real_data_leaves_out_what_is_not_known(tmp_path: Path, data: 
 
 
 def test_a_page_of_fz_alone_has_no_class(tmp_path: Path):
-    import cv2
-    import numpy as np
-
     for name in ("0.png", "1.png", "reference.png"):
         cv2.imwrite(str(tmp_path / name), np.full((24, 32, 3), 90, np.uint8))
     (tmp_path / "frames.csv").write_text("picture,fz_n\n0.png,0.1\n1.png,-44.5\n")

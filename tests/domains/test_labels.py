@@ -1,18 +1,18 @@
 """Labels as data have them: any of them, each with a range; a reference and groups of their own; several data sets."""
 
-import csv
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from real_clones import write_table
 
 from gelgap.domains import ArrayFrames, Labels, join_domains, open_domain, verify_domain, with_labels
 from gelgap.domains.frames.first_touch import trajectory_of
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
 from gelgap.domains.frames.run_labels import force_classes, labels_of_run
-from gelgap.domains.inspection import inspect_domain, write_overview
+from gelgap.domains.inspection import inspect_domain, label_notes, write_overview
 
 
 def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None = None) -> Path:
@@ -21,10 +21,7 @@ def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None 
         write(folder / row.setdefault("picture", f"clips/{number}.png"), 10 * number)
     for name, level in (references or {"reference.png": 200}).items():
         write(folder / name, level)
-    with (folder / "table.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(folder / "table.csv", rows)
     return folder
 
 
@@ -213,8 +210,6 @@ def test_wrong_labels_are_refused(names, ranges, message):
 
 
 def test_inspect_and_adapt_say_the_same_of_forces_that_pull(tmp_path: Path):
-    from gelgap.domains.inspection import label_notes
-
     folder = folder_of(tmp_path / "pulled", [{"fz_n": 0.5}, {"fz_n": -2.0}])
     (note,) = label_notes(open_domain(folder))
     assert note.startswith("1 frames have Fz > 0")

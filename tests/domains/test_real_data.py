@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from real_clones import write_table
 
 from gelgap.domains import open_domain, verify_domain
 from gelgap.domains.frames.labels import known_labels
@@ -19,14 +20,6 @@ def picture(path: Path, level: int, size: tuple[int, int] = (64, 48)) -> None:
     assert cv2.imwrite(str(path), np.clip(gradient, 0, 255).astype(np.uint8))
 
 
-def table(path: Path, rows: list[dict]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def published(folder: Path, labels: bool = True, parts: tuple[str, ...] = ("train", "test", "ori")) -> Path:
     picture(folder / "ref.jpg", 100)
     for part in parts:
@@ -36,7 +29,7 @@ def published(folder: Path, labels: bool = True, parts: tuple[str, ...] = ("trai
             # Column order differs from the order in which forces are used; there is more than is needed.
             row = {"time": number, "Fz(N)": -0.2 * number, "Fx(N)": 0.01 * number, "Fy(N)": -0.01 * number}
             rows.append(row | ({"label": number + 355} if labels else {}))
-        table(folder / part / "forcePosition" / "force.csv", rows)
+        write_table(folder / part / "forcePosition" / "force.csv", rows)
     return folder
 
 
@@ -56,9 +49,9 @@ def test_only_the_published_label_is_a_class_and_only_where_every_row_has_one(tm
     folder = published(tmp_path / "wmb1i1", parts=("ori",))
     force = folder / "ori" / "forcePosition" / "force.csv"
     rows = [{"class": "firm"} | row for row in csv.DictReader(force.open())]
-    table(force, rows)
+    write_table(force, rows)
     assert open_domain(folder).contact_class.tolist()[5:8] == [360, 0, 1]
-    table(force, [rows[0] | {"label": ""}, *rows[1:]])
+    write_table(force, [rows[0] | {"label": ""}, *rows[1:]])
     assert not open_domain(folder).has_classes
 
 
@@ -106,7 +99,7 @@ def gelsight(folder: Path, reference: bool = True, **changes) -> Path:
         )
     if reference:
         picture(folder / "background.png", 99)
-    table(folder / "labels.csv", rows)
+    write_table(folder / "labels.csv", rows)
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Lists of presses in TOML: what a calibration is given, with bad lists refused."""
+"""What a calibration is given: lists of presses in TOML, with bad ones refused, and contacts found in pictures."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.render.calibration.pictures import check_presses, read_presses
+from gelgap.render.calibration.pictures import check_presses, find_contact_mm, read_presses
 
 
 def listed(folder: Path, text: str) -> Path:
@@ -17,21 +17,12 @@ def listed(folder: Path, text: str) -> Path:
 
 
 def test_presses_are_read_beside_their_list(tmp_path: Path) -> None:
-    red = np.zeros((24, 32, 3), np.uint8)
+    path, red = listed(tmp_path, "depth_mm = 0.6"), np.zeros((24, 32, 3), np.uint8)
     red[..., 0] = 200
     cv2.imwrite(str(tmp_path / "p.png"), red[..., ::-1])
-    listed = tmp_path / "presses.toml"
-    listed.write_text('[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n')
-    (press,) = read_presses(listed)
+    (press,) = read_presses(path)
     np.testing.assert_array_equal(press.picture, red)
     assert press.point_mm is None
-
-
-def test_a_press_without_its_depth_is_refused(tmp_path: Path) -> None:
-    listed = tmp_path / "presses.toml"
-    listed.write_text('[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndeep = 1\n')
-    with pytest.raises(ValueError, match=r"presses\.toml: presses\.0: deep: extra inputs are not permitted"):
-        read_presses(listed)
 
 
 def test_a_marked_circle_is_read(tmp_path: Path) -> None:
@@ -47,36 +38,21 @@ def test_rough_marks_of_an_unknown_sphere_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "problem"),
+    ("old", "new", "problem"),
     [
-        ("depth_mm = nan", "depth_mm = nan: input should be a finite number"),
-        ("radius_px = 5\ncenter_px = [1]", r"center_px\.1: field required"),
+        ("0.6", "nan", "depth_mm = nan: input should be a finite number"),
+        ("depth_mm = 0.6", "radius_px = 5\ncenter_px = [1]", r"center_px\.1: field required"),
+        ("depth_mm", "deep", r"presses\.toml: presses\.0: deep: extra inputs are not permitted"),
+        ("p.png", "../p.png", r"picture = '\.\./p\.png': must lie in the folder of the list"),
+        ("[[presses]]", "mm_per_px = 0\n[[presses]]", r"mm_per_px = 0: must lie in \[0\.001, 1\] mm"),
+        ("[[presses]]", "presses = []\n[other]", r"presses = \(\): tuple should have at least 1 item"),
     ],
 )
-def test_values_that_are_no_numbers_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        read_presses(listed(tmp_path, text))
-
-
-def test_a_picture_elsewhere_is_refused(tmp_path: Path) -> None:
-    path = listed(tmp_path, "depth_mm = 0.6")
-    path.write_text(path.read_text().replace("p.png", "../p.png"))
-    with pytest.raises(ValueError, match=r"picture = '\.\./p\.png': must lie in the folder of the list"):
-        read_presses(path)
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("presses = []", r"presses = \(\): tuple should have at least 1 item"),
-        ("mm_per_px = 0", r"mm_per_px = 0: must lie in \[0\.001, 1\] mm"),
-    ],
-)
-def test_an_empty_list_and_a_scale_that_cannot_be_are_refused(
-    tmp_path: Path, text: str, problem: str
+def test_a_list_that_is_not_as_it_should_be_is_refused(
+    tmp_path: Path, old: str, new: str, problem: str
 ) -> None:
     path = listed(tmp_path, "depth_mm = 0.6")
-    path.write_text(text if "[]" in text else f"{text}\n{path.read_text()}")
+    path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=problem):
         read_presses(path)
 
@@ -85,3 +61,12 @@ def test_marks_of_a_larger_picture_are_refused(tmp_path: Path) -> None:
     presses = read_presses(listed(tmp_path, "radius_px = 6\ncenter_px = [39, 12]"))
     with pytest.raises(ValueError, match=r"center_px is \(39\.0, 12\.0\), .* no such circle .* 32×24 px"):
         check_presses(np.full((24, 32, 3), 90, np.uint8), presses)
+
+
+@pytest.mark.parametrize("light", ["i0", "i1"])
+def test_a_contact_is_found_in_the_picture(renderer, dent, light):
+    render = renderer(light)
+    found = find_contact_mm(
+        render.picture(*dent(0.7, point_mm=(2.0, -1.0))), render.reference(), render.sensor.camera
+    )
+    assert np.hypot(found[0] - 2, found[1] + 1) < 0.15

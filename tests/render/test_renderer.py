@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.assets import list_presets
+from gelgap.render.imaging import encode, sensor_noise
 from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Coating, Markers, Sensor, marker_rest_mm
@@ -197,6 +198,18 @@ def test_behind_an_led_s_face_its_light_is_black_and_the_others_add_up(dent):
     assert top_bar_alone.max() > 0.05
 
 
+def test_a_large_sphere_is_rendered_where_the_view_reaches_behind_the_lights(dent):
+    sensor = Sensor.preset("gelsight-2014-like")
+    wide = sensor.camera.model_copy(update={"horizontal_field_of_view_deg": 78.0})
+    light = Illumination.preset("i0")
+    render = MembraneRenderer(sensor.model_copy(update={"camera": wide}), light, (64, 48), "draft")
+    beyond_mm = max(abs(led.position_mm[0]) for led in light.leds)
+    assert render.lattice.x_mm[-1] > beyond_mm
+    for point_mm in ((-14.0, 0.0), (14.0, 0.0)):
+        membrane = dent(1.6, point_mm=point_mm, half_extent_mm=(22.0, 17.0), radius_mm=10.5)
+        assert np.isfinite(render.linear(*membrane)).all()
+
+
 @pytest.mark.parametrize("specular", [0.0, 1.0])
 def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, specular):
     sensor = renderer("i0").sensor.model_copy(update={"coating": Coating(specular=specular, roughness=0.3)})
@@ -256,8 +269,6 @@ def test_noise_is_drawn_from_the_generator_and_has_the_camera_s_variance(rendere
     one, same, other = (render.reference(rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
-    from gelgap.render.imaging import sensor_noise
-
     camera = render.sensor.camera
     level = np.full((200, 300, 3), 0.3, np.float32)
     noise = sensor_noise(level, camera, np.random.default_rng(0)) - level
@@ -331,8 +342,6 @@ def test_bad_settings_are_refused():
 
 
 def test_a_noisy_picture_is_the_noisy_linear_picture_encoded(renderer):
-    from gelgap.render.imaging import encode, sensor_noise
-
     render = renderer("i0", (64, 48))
     noisy = sensor_noise(render.reference_linear(), render.sensor.camera, np.random.default_rng(4))
     assert np.array_equal(render.reference(rng=np.random.default_rng(4)), encode(noisy))

@@ -5,6 +5,7 @@ import pytest
 
 from gelgap.benchmarks.adaptation import board
 from gelgap.domains import ArrayFrames
+from gelgap.sim.plan import plan_solves
 
 
 def points(role: board.Role) -> np.ndarray:
@@ -23,8 +24,6 @@ def test_source_and_target_share_no_point_nor_depth():
 
 
 def test_a_gel_takes_few_solves():
-    from gelgap.sim.plan import plan_solves
-
     recipe = board.role_recipes(["wmb0i0"], "source")[0]
     plan = plan_solves(recipe.elastomer, recipe.indenter, recipe.path, recipe.quality)
     assert len(plan.solves) == board.LEVELS / 3

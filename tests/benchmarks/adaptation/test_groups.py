@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from run_records import Record, headline_of, record, write_benchmark
+from run_records import Record, headline_of, record, rows_of, write_benchmark
 
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.benchmarks.adaptation import board
@@ -63,10 +63,6 @@ def upper_bounds(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_tar
         for name in targets
         for seed in range(seeds)
     ]
-
-
-def rows_of(table) -> dict[str, dict[str, str]]:
-    return {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
 
 
 def changed(found: list[Record], chosen, **results) -> list[Record]:

@@ -4,7 +4,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from run_records import record, write_runs
+from run_records import record, rows_of, write_runs
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation import board, groups, inputs_and_lights
@@ -60,7 +60,7 @@ def test_every_input_is_run_where_it_can_be_shown():
 )
 def test_stored_measurements_are_the_published_tables(stored: str, part: Part, closed: dict[str, str]):
     (table,) = part.tables(RUNS / stored)
-    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
+    rows = rows_of(table)
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "")
     for name, share in closed.items():
         assert rows[name]["closed"] == share
@@ -71,15 +71,12 @@ def test_stored_measurements_are_the_published_tables(stored: str, part: Part, c
 def test_stored_errors_of_all_methods_are_the_published_ones():
     table, control = inputs_and_lights.INPUT_PART.tables(RUNS / "board-methods")
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
-    cells = {
-        row[0].removesuffix(" / calibrated"): dict(zip(table.columns, row, strict=True))
-        for row in table.cells
-    }
-    differences = {row[0]: row[2].replace("+0.0000", "0.0000") for row in control.cells}
+    cells, differences = rows_of(table), rows_of(control)
     shown = differences.keys() & set(board.METHODS)
     assert len(shown) == 12
     for method in shown:
-        row, difference = cells[method], differences[method]
+        row = cells[f"{method} / calibrated"]
+        difference = differences[method]["difference, N"].replace("+0.0000", "0.0000")
         assert f"| {row['closed']} | {row['mean, N']} | {difference}" in page
         assert f"| {row['Fz, N']} | {row['shear, N']} |" in page
 
@@ -95,8 +92,7 @@ def test_stored_errors_on_shifted_labels_are_the_published_ones():
         table = tables[title.format(data)]
         # Shifted labels have no upper bound, so that no share of a gap can mislead.
         assert ("closed" in table.columns) == (data == board.DATA)
-        for cells in (cells for cells in table.cells if not cells[0].startswith("label-shift")):
-            row = dict(zip(table.columns, cells, strict=True))
+        for row in (row for name, row in rows_of(table).items() if not name.startswith("label-shift")):
             assert f" {row['mean, N']} | {row['Fz, N']} | {row['shear, N']} |" in page
 
 
@@ -118,9 +114,9 @@ def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_pa
         tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.15, data=board.LABEL_SHIFT)]
     )
     _, shifted = inputs_and_lights.LIGHT_PART.tables(tmp_path)
-    errors = {row[0]: row[list(shifted.columns).index("mean, N")] for row in shifted.cells}
-    assert errors["source-only / pictures"] == "0.200"
-    assert errors["source-only / like the target's"] == "0.150"
+    rows = rows_of(shifted)
+    assert rows["source-only / pictures"]["mean, N"] == "0.200"
+    assert rows["source-only / like the target's"]["mean, N"] == "0.150"
 
 
 def test_an_upper_bound_is_on_the_input_that_it_bounds(tmp_path):
@@ -137,9 +133,9 @@ def test_an_upper_bound_is_on_the_input_that_it_bounds(tmp_path):
     found = [record(pair, "source-only", n, 0, board.DATA, c, r2=(0.95,) * 3) for pair, n, c in bounds]
     write_runs(tmp_path / groups.RUNS, found)
     (table, *_) = inputs_and_lights.INPUT_PART.tables(tmp_path)
-    closed = {row[0]: row[1] for row in table.cells}
-    assert closed["adabn / pictures"] == "50 %"
-    assert closed["adabn / calibrated"] == "33 %"
+    rows = rows_of(table)
+    assert rows["adabn / pictures"]["closed"] == "50 %"
+    assert rows["adabn / calibrated"]["closed"] == "33 %"
 
 
 def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
@@ -150,5 +146,5 @@ def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
     write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, runs)
     _, table = inputs_and_lights.INPUT_PART.tables(tmp_path)
     assert "calibrated" in table.title
-    brought = {row[0]: row[list(table.columns).index("difference, N")] for row in table.cells}
+    brought = {method: row["difference, N"] for method, row in rows_of(table).items()}
     assert brought == {"adabn": "-0.0500", "no-transfer": "-0.0100", "dann": "-0.0200"}

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from run_records import Record, record, write_runs
+from run_records import Record, record, rows_of, write_runs
 
 from gelgap.adapt import split_for_training
 from gelgap.adapt.evaluation import evaluate_constant_mean
@@ -79,10 +79,9 @@ def folder(study):
     return study.out
 
 
-def rows_of(table: ResultTable) -> dict[str, dict[str, str]]:
-    """Return the rows of methods by name; rules without a network, which stand beside them, apart."""
-    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
-    return {name: row for name, row in rows.items() if name not in RULES}
+def methods_of(table: ResultTable) -> dict[str, dict[str, str]]:
+    """Return the rows of methods; rules without a network, which stand beside them, apart."""
+    return {name: row for name, row in rows_of(table).items() if name not in RULES}
 
 
 def send(folder, name: str, runs: list[Record]) -> None:
@@ -97,7 +96,7 @@ def test_entries_are_ranked_by_what_they_close(study, folder):
     lit = [(board.LIKE + target, target) for _, target in GROUPS]
     write_runs(folder / LIGHT_RUNS, places(study, "adabn", 0.15, lit))
     (table,) = tables(folder)
-    rows = rows_of(table)
+    rows = methods_of(table)
     names = ["**mine.Mine / calibrated**", "adabn / like-target", "**mine.Mine**", "adabn", "source-only"]
     assert list(rows) == names
     # From the constant mean's 0.4 N to 0.05 N.
@@ -108,7 +107,7 @@ def test_entries_are_ranked_by_what_they_close(study, folder):
 def test_what_two_equal_runs_differ_by_has_no_order(study, folder):
     write_runs(folder / RUNS, [*places(study, "mine.Mine", 0.2), *places(study, "mine.Twin", 0.201)])
     (table,) = tables(folder)
-    rows = rows_of(table)
+    rows = methods_of(table)
     assert rows["**mine.Mine**"]["rank mean"] == rows["**mine.Twin**"]["rank mean"] == "1–2"
     assert rows["adabn"]["rank mean"] == "3"
 
@@ -118,9 +117,9 @@ def test_a_seed_more_is_left_out_and_one_less_is_named(study, folder):
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, seeds=(0, 1, 2)))
     write_runs(folder / RUNS, places(study, "mine.Short", 0.2, seeds=(0,)))
     (table,) = tables(folder)
-    assert rows_of(table)["**mine.Mine**"]["closed"] == "57 %"
+    assert methods_of(table)["**mine.Mine**"]["closed"] == "57 %"
     assert "Not all runs are finished of mine.Short." in table.note
-    assert len(rows_of(table)) == 3
+    assert len(methods_of(table)) == 3
 
 
 def test_runs_of_other_pictures_are_not_compared(study, folder):
@@ -137,9 +136,9 @@ def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
     send(folder, "Bob", places(study, "mine.Mine", 0.06))
     send(folder, "Aaron", [*places(study, "adabn", 0.07), *places(study, "adabn", 0.07, seeds=(7,))])
     trained, given = tables(folder)
-    assert list(rows_of(trained)) == ["**mine.Mine**", "adabn", "source-only"]
-    assert rows_of(trained)["adabn"]["mean, N"] == "0.300"
-    rows = rows_of(given)
+    assert list(methods_of(trained)) == ["**mine.Mine**", "adabn", "source-only"]
+    assert methods_of(trained)["adabn"]["mean, N"] == "0.300"
+    rows = methods_of(given)
     assert {name: row["mean, N"] for name, row in rows.items()} == {
         "mine.Mine (Bob)": "0.060",
         "adabn (Aaron)": "0.070",
@@ -151,7 +150,7 @@ def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
 def test_errors_of_what_is_handed_in_are_those_of_its_predictions(study, folder):
     send(folder, "Bob", places(study, "mine.Mine", 0.2, mae_n=(0.001,) * 3))
     _, given = tables(folder)
-    assert rows_of(given)["mine.Mine (Bob)"]["mean, N"] == "0.200"
+    assert methods_of(given)["mine.Mine (Bob)"]["mean, N"] == "0.200"
 
 
 @pytest.mark.parametrize(
@@ -168,7 +167,7 @@ def test_what_cannot_be_judged_is_named(study, folder, change, reason):
     send(folder, "Bob", places(study, **{"method": "mine.Mine", "off_n": 0.2} | change))
     _, given = tables(folder)
     assert reason in given.note
-    assert rows_of(given) == {}
+    assert methods_of(given) == {}
 
 
 def test_a_run_that_stands_twice_is_not_judged(study, folder):

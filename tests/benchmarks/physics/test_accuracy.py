@@ -64,7 +64,7 @@ def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(t
     shallow = replace(press_cases()["nh49_no_slip"].down_to(0.2), quality="draft")
     assert [pose.depth_mm for pose in shallow.poses] == [0.2]
     sphere = replace(tabled_sphere(), quality="draft")
-    first = solved_cases([shallow, sphere], tmp_path, 2)
+    first = solved_cases([shallow, sphere], tmp_path)
     small, large = (errors(case, first[case]) for case in (shallow, sphere))
     assert small["unconverged"] == large["unconverged"] == 0
     assert np.abs(small["fz_percent"]).max() < 8
@@ -74,7 +74,7 @@ def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(t
     assert large["u_z rms µm"] < 5
     assert large["in-plane rms µm"] < 5
     light = Case("light", "b0", Elastomer.preset("b0"), (Pose(depth_mm=0.05),), "draft")
-    again = solved_cases([shallow, sphere, light], tmp_path, 1)
+    again = solved_cases([shallow, sphere, light], tmp_path)
     assert again[shallow].core_s == first[shallow].core_s
     assert np.array_equal(again[sphere].states[-1].displacement_mm, first[sphere].states[-1].displacement_mm)
     assert again[light].states[0].force_n[2] < 0
