@@ -23,6 +23,7 @@ from gelgap.adapt.network import (
 )
 from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
 from gelgap.adapt.profile import Profile
+from gelgap.assets.checksums import checksum_problem
 from gelgap.domains import ArrayFrames, LabelledFrames, Labels
 from gelgap.domains.frames.dataset import Camera
 from gelgap.domains.frames.first_touch import STEP, TRAJECTORY
@@ -204,6 +205,8 @@ class ForceModel:
         """
         named = backbone and use_backbone(backbone)
         path = Path(path)
+        if problem := checksum_problem(path):
+            raise ValueError(f"{path} {problem}; train it again or take a whole copy")
         content = load_checkpoint(path)
         if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")

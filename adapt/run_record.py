@@ -3,7 +3,6 @@
 The folder's name ends with the hash of all that decides the result (`runs.run_key`).
 """
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +14,7 @@ from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.selection import LabelFree
 from gelgap.assets.array_file import read_arrays, write_arrays
-from gelgap.assets.checksums import CHECKSUM, read_json, with_checksum, without_checksum
+from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, sha256, write_checksums
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import write_whole
@@ -87,10 +86,12 @@ _RUN = TypeAdapter(Run)
 
 
 def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
-    """Write a run's folder: what `load_predictions` will return, the model, and last the record.
+    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
 
     A run that failed has the record alone.
     """
+    record = _RUN.dump_json(run, indent=1) + b"\n"
+    sums = {RECORD: sha256(record)}
     if run.problem is None:
         kept = {
             name: values.astype(np.float16 if name.endswith("_features") else np.float32)
@@ -98,8 +99,9 @@ def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> Non
         }
         write_arrays(run.folder / _PREDICTIONS, kept)
         model.save(run.folder / _MODEL)
-    record = with_checksum(json.loads(_RUN.dump_json(run)))
-    write_whole(run.folder / RECORD, json.dumps(record, indent=1, ensure_ascii=False).encode())
+        sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
+    write_checksums(run.folder, sums)
+    write_whole(run.folder / RECORD, record)
 
 
 def load_run(folder: str | Path) -> Run:
@@ -116,11 +118,10 @@ def load_run(folder: str | Path) -> Run:
     path = folder / RECORD
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no finished run ({RECORD} is missing)")
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
     try:
-        record = read_json(path)
-        if CHECKSUM in record:  # those of former versions have none
-            record = without_checksum(record)
-        run = _RUN.validate_python({**record, "folder": folder})
+        run = _RUN.validate_python({**read_json(path), "folder": folder})
         if not all(map(is_plain_name, (run.source, run.target, run.method))):
             raise ValueError("source, target and method must be plain names")
         if not isinstance(run.profile.get("name"), str):
@@ -167,6 +168,8 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
     if run.problem is not None:
         raise RuntimeError(f"{run.group}, {run.method} has no predictions: {run.problem}")
     path = run.folder / _PREDICTIONS
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
     try:
         arrays = read_arrays(path)
         needed = _ARRAYS if run.target_test is None else ("target_true_n", *_ARRAYS)
