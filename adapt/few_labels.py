@@ -20,7 +20,7 @@ from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.runs import Stage1
+from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.progress import Progress, silent
 from gelgap.domains import (
@@ -44,7 +44,6 @@ NEW_SENSOR_LEARNING_RATE = 4e-3
 """Of a network from elsewhere, whose outputs may be far off: at 0.01 some end as a constant, on few and like frames."""
 CLIP = "clip"
 CHECKPOINT = "pretrained.pt"
-STREAM_STATE = "stream-state.pt"
 _BATCH = 32
 _MOMENTUM = 0.9
 # Of the ridge: the weakest leaves an exact relation as it is, the strongest leaves the predictions.
@@ -270,7 +269,7 @@ def pretrain_on_stream(
     """Train stage 1 on a stream, every epoch on samples that it has not seen, and judge it on others of other lights.
 
     Nothing is stored but the checkpoint, as that of `pretrain`, and the state after each epoch, from which an
-    interrupted training is resumed.
+    interrupted training is resumed. Another stream, profile or seed has a state of its own.
 
     Raises
     ------
@@ -284,7 +283,8 @@ def pretrain_on_stream(
     def frames_of_epoch(epoch: int) -> LabelledFrames:
         return stream.frames(epoch * n, (epoch + 1) * n)
 
-    first, resume_file = frames_of_epoch(0), out_dir / STREAM_STATE
+    first = frames_of_epoch(0)
+    resume_file = out_dir / f"stream-state-{stage1_key(first, profile, seed)[:8]}.pt"
     model = train_source(
         first, profile, seed, resume_file=resume_file, progress=progress, frames_of_epoch=frames_of_epoch
     )
