@@ -19,12 +19,7 @@ from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames
 from gelgap.domains.frames.joined import join_domains
-from gelgap.domains.frames.labels import (
-    FORCE_COLUMNS,
-    PAPER_RANGES,
-    Labels,
-    covering,
-)
+from gelgap.domains.frames.labels import FORCE_COLUMNS, PAPER_RANGES, Labels, covering
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import known_columns, plain_name
 from gelgap.render import Camera
@@ -292,11 +287,7 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 
 
 def _shared_reference(
-    folder: Path,
-    files: list[Path],
-    columns: dict[str, np.ndarray],
-    paths: list[Path],
-    notes: list[str],
+    folder: Path, files: list[Path], columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
 ) -> Path:
     """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
     named = [path for path in _pictures(files) if _is_reference(path)]
