@@ -62,9 +62,7 @@ def _read_bytes(path: Path) -> bytes:
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist or is not a file; an image is needed")
     if path.stat().st_size > MOST_BYTES:
-        raise ValueError(
-            f"{path} has {path.stat().st_size >> 20} MiB; images have at most {MOST_BYTES >> 20} MiB"
-        )
+        raise ValueError(f"{path} has {path.stat().st_size >> 20} MiB, an image at most {MOST_BYTES >> 20}")
     return path.read_bytes()
 
 

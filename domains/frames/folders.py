@@ -96,6 +96,7 @@ def _layout_problem(folder: Path, files: list[Path]) -> str | None:
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
     if not inside and any(not _is_reference(path) for path in _pictures(files)):
         return None
+    inside = inside or sorted({path.parent.name for path in folder.glob(f"*/*{TABLES[0]}")})
     what = "does not exist" if not folder.exists() else "is not a data set"
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
