@@ -58,7 +58,7 @@ _LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "mic
 _LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
 _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
 # What people and programs write where there is no value.
-EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
+EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "#nv", "null", "none")
 # Times without a unit are seconds if they are closer than this; milliseconds of a log at 1 kHz are 1 apart.
 _LONGEST_LIKELY_STEP_S = 0.5
 _LARGEST_LIKELY_N = 150.0
