@@ -8,7 +8,7 @@ import numpy as np
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
-from gelgap.assets.image_file import SUFFIXES, read_image, visible_files
+from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
 from gelgap.domains import Labels
 from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
@@ -96,11 +96,9 @@ def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
         If a file is not an image that can be read, or a folder has none.
     """
     for path in paths:
-        files = [path]
-        if path.is_dir():
-            files = [file for file in visible_files(path) if file.suffix.lower() in SUFFIXES]
-            if not files:
-                raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")
+        files = picture_files(visible_files(path)) if path.is_dir() else [path]
+        if not files:
+            raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")
         for file in files:
             yield str(file), read_image(file)
 

@@ -102,7 +102,7 @@ def adapt_folders(
     if not methods:
         raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
     for own in profiles:
-        for method in methods:
+        for method in (*methods, *(name for name in own.settings if "." not in name)):
             registry.method_settings(method, own)
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read

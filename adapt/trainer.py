@@ -30,7 +30,7 @@ from gelgap.adapt.data import (
     turn_dents,
 )
 from gelgap.adapt.inputs import INPUTS
-from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
+from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged, loss_of
 from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start
 from gelgap.adapt.network import (
@@ -369,7 +369,7 @@ def _losses(
     if method.uses_classifier:
         losses["classification"] = functional.cross_entropy(source.logits, source.contact_class)
         loss = loss + profile.classification_weight * losses["classification"]
-    transfer = method.loss(source, target, step)
+    transfer = loss_of(method, source, target, step)
     if transfer is None:
         return loss, losses, {}
     losses["transfer"] = transfer.value

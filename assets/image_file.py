@@ -5,6 +5,7 @@ pages. Rotation that the file's EXIF states is applied, as viewers do.
 """
 
 import io
+import logging
 import re
 import struct
 from pathlib import Path
@@ -12,7 +13,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from gelgap.assets.names import comma_list
+
+LOG = logging.getLogger(__name__)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+_UNREAD = re.compile(r"\.(heic|heif|avif|webp|gif|jp2|dng|raw|cr2|nef|arw)", re.IGNORECASE)
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
 MOST_PIXELS = 2**26
 MOST_BYTES = 2**29
@@ -29,6 +34,13 @@ def visible_files(*folders: Path) -> list[Path]:
     return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
 
 
+def picture_files(files: list[Path]) -> list[Path]:
+    """Return the files whose names end as an image's; what else is one, as HEIC of a phone, is warned of."""
+    if unread := [path.name for path in files if _UNREAD.fullmatch(path.suffix)]:
+        LOG.warning("pictures that are not read, unless you save them as PNG: %s", comma_list(unread))
+    return [path for path in files if path.suffix.lower() in SUFFIXES]
+
+
 def read_image(path: Path | str) -> np.ndarray:
     """Return the image of a file as (h, w, 3) uint8 RGB.
 
@@ -39,17 +51,19 @@ def read_image(path: Path | str) -> np.ndarray:
     ValueError
         If it is no image that `decode_image` decodes; the message names the file and says why.
     """
-    path = Path(path)
+    data = _read_bytes(Path(path))
+    try:
+        return decode_image(data)
+    except ValueError as error:
+        raise ValueError(f"{path} is not readable: {error}") from None
+
+
+def _read_bytes(path: Path) -> bytes:
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist or is not a file; an image is needed")
     if path.stat().st_size > MOST_BYTES:
-        raise ValueError(
-            f"{path} has {path.stat().st_size >> 20} MiB; images have at most {MOST_BYTES >> 20} MiB"
-        )
-    try:
-        return decode_image(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path} is not readable: {error}") from None
+        raise ValueError(f"{path} has {path.stat().st_size >> 20} MiB, an image at most {MOST_BYTES >> 20}")
+    return path.read_bytes()
 
 
 def decode_image(data: bytes) -> np.ndarray:
@@ -78,7 +92,7 @@ def decode_image(data: bytes) -> np.ndarray:
 
 
 def read_levels(path: Path | str) -> np.ndarray:
-    """Return the levels (h, w) of a grey image of 8 or 16 bits as they are stored, uint8 or uint16.
+    """Return the levels (h, w) of a grey image of 8 or 16 bits, uint8 or uint16, turned as its EXIF says.
 
     Raises
     ------
@@ -89,14 +103,11 @@ def read_levels(path: Path | str) -> np.ndarray:
     """
     import cv2
 
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist or is not a file; an image is needed")
+    data = _read_bytes(Path(path))
     try:
-        data = path.read_bytes()
         stated_size_px(data)
         _check_opaque(data)
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
         if image is None or image.dtype not in (np.uint8, np.uint16):
             raise ValueError("its pixels are not of 8 or 16 bits")
         if image.ndim == 3 and (image[..., :3] != image[..., :1]).any():

@@ -91,6 +91,8 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
             noted["the largest lag that was tried fits best, so the clocks may differ by more"].append(name)
         if clip.lag and clip.lag_range and clip.lag_range[0] <= 0 <= clip.lag_range[1]:
             noted["a lag of 0 fits as well as the applied one; --lag 0 applies it"].append(name)
+        if not clip.in_contact:
+            noted["no force above 0.3 N, so that all is at rest: is its unit right?"].append(name)
         if clip.begins_in_contact:
             noted["begins with a force, so its reference is its first picture"].append(name)
         if clip.in_holes:

@@ -81,7 +81,7 @@ class Generate(opt.Command):
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
     indenter: tuple[str, ...] = ("sphere",)
-    """Shapes, presets (gelgap presets indenters), TOML or mesh files; each goes the whole path, and of several the
+    """Shapes, presets (gelgap presets indenters), TOML, mesh or map files; each goes the whole path, and of several the
     column `indenter` says which."""
     set: Set = ()
     """Values of the gel (needs --name), sizes of the body, and how the domains are made; all keys are listed above."""

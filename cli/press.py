@@ -49,7 +49,7 @@ class Press(opt.Command):
     elastomer: Annotated[str | None, opt.optional("NAME")] = None
     """Elastomer preset or TOML file (see: gelgap presets elastomers), of which --set changes values."""
     indenter: str = "sphere"
-    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
+    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML, mesh, map file."""
     set: Set = ()
     """Values of the gel and sizes of the body, named as in a TOML file; all keys are listed above."""
     depth_mm: Annotated[float | None, opt.optional("MM", "0.6, or what --force-n needs")] = None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from gelgap.assets.image_file import SUFFIXES, read_image, visible_files
+from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.calibration_presses import sphere_profiles
@@ -154,13 +154,11 @@ def _doubts(found: dict[str, FoundMark], width_px: int) -> list[str]:
 def _pictures(folder: Path) -> dict[str, np.ndarray]:
     """Return the pictures of a folder, all of one size, by their names."""
     files = [path for path in visible_files(folder) if path.is_file() and path.name != SHEET]
-    stills = [path for path in files if path.suffix.lower() in SUFFIXES]
-    videos = [path for path in files if path.suffix.lower() in VIDEOS]
-    pictures = {path.name: read_image(path) for path in stills}
     of_videos: dict[str, np.ndarray] = {}
-    for video in videos:
-        of_videos |= stills_of(video)
-    pictures |= of_videos
+    for path in files:
+        if path.suffix.lower() in VIDEOS:
+            of_videos |= stills_of(path)
+    pictures = {path.name: read_image(path) for path in picture_files(files)} | of_videos
     if len(pictures) < 2:
         raise ValueError(
             f"{folder} holds {len(pictures)} pictures: a picture without contact and six or more of a pressed ball are "

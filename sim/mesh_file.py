@@ -18,6 +18,7 @@ LOG = logging.getLogger(__name__)
 MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
 # By trimesh's names.
 _UNITS = {"mm": "mm", "cm": "cm", "m": "m", "inch": "inch", "um": "microns"}
+_GLTF_SUFFIXES = (".glb", ".gltf")
 _CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend")
 _SMALLEST_MM, _LARGEST_MM = 0.5, 500.0
 _MOST_CORNERS = 4000
@@ -58,6 +59,8 @@ def convex_part(
     from scipy.spatial import QhullError
 
     mesh = _standing(path, unit, flip)
+    if path.suffix.lower() in _GLTF_SUFFIXES:
+        LOG.warning("%s: its −y is its bottom, as glTF has y up; if yours has z up, export STL", path.name)
     try:
         # Trimesh divides by the volume, which a flat body has not.
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -111,12 +114,12 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
         scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()
     except Exception as error:  # readers of other people's formats raise whatever they like
-        raise ValueError(f"is not a mesh that can be read ({error}); export STL, OBJ or GLB") from None
+        raise ValueError(f"is no readable mesh ({error}); export STL, OBJ or GLB, heights as .npy") from None
     if not len(mesh.faces):
         raise ValueError("holds no triangles; export a surface as STL, OBJ or GLB")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("has corners that are not finite numbers; export it anew")
-    unit = unit or mesh.units or ("m" if suffix in (".glb", ".gltf") else "mm")
+    unit = unit or mesh.units or ("m" if suffix in _GLTF_SUFFIXES else "mm")
     size = mesh.extents.max()
     size_mm = size * trimesh.units.unit_conversion(_UNITS.get(unit, unit), "mm")
     if not _SMALLEST_MM <= size_mm <= _LARGEST_MM:
@@ -131,6 +134,8 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
             f"set unit: {', '.join(served) or 'no unit makes it so'}"
         )
     mesh.vertices *= size_mm / size
+    if suffix in _GLTF_SUFFIXES:  # y is up (glTF 2.0, 3.4)
+        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, -1, 1]
     if len(bodies := scene.graph.nodes_geometry) > 1:
         LOG.warning("%s: its %d bodies are pressed as one", path.name, len(bodies))
     mesh.merge_vertices(merge_tex=True, merge_norm=True)

@@ -272,7 +272,7 @@ class ConvexMesh(RoundedHull):
             size_mm[2] = min(size_mm[2], above_mm[:, 2].min())
             whole_mm = np.maximum(size_mm, [*np.ptp(above_mm[:, :2], axis=0), above_mm[:, 2].max()])
             whole = f", the convex end of a body of {_by(whole_mm)} mm whose rest stays off the gel"
-        side = "top (+z of the file)" if self.flip else "bottom (−z of the file)"
+        side = "top (+z, of glTF +y)" if self.flip else "bottom (−z, of glTF −y)"
         own = f"mesh of {len(self.hull_mm)} corners, {_by(size_mm)} mm{whole}, touches by its {side}"
         return super().label.replace(self.shape, own, 1)
 

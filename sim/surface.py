@@ -63,7 +63,7 @@ class Surface(Shape):
         description="From one place to the next, mm, 0.001 to 1."
     )
     step_mm: Annotated[float, within(1e-7, 0.1, "mm")] = Field(
-        description="Height of a step, mm, 1e-7 to 0.1."
+        description="Height of a step, mm, 1e-7 to 0.1; of a map file, to 1000, where it is in m."
     )
     height_mm: Annotated[float, within(0.01, 500.0, "mm")] = Field(
         description="Height of the body, mm, 0.01 to 500; it is pressed to half of that at most."
@@ -109,8 +109,10 @@ class Surface(Shape):
             raise ValueError("is empty: nowhere is there anything to press")
         relief_mm = float(np.ptp(heights[np.isfinite(heights)]))
         if height_mm is None:
-            if relief_mm < _LEAST_RELIEF_MM:
-                raise ValueError(f"is empty: its heights differ by {1e3 * relief_mm:.2g} µm in all")
+            if not _LEAST_RELIEF_MM <= relief_mm <= 250.0:
+                raise ValueError(
+                    f"heights differ by {relief_mm:.3g} mm, must by 0.005 to 250 mm: step_mm is what 1 is, 1000 if in m"
+                )
             height_mm = 2 * relief_mm
         heights, spacing_mm = _resampled(heights, spacing_mm)
         radius_mm = fields.get("edge_radius_mm", 0.0)
@@ -165,10 +167,10 @@ class Surface(Shape):
             if path.suffix.lower() in MAP_SUFFIXES:
                 values = _map_values(path)
                 step_mm = 1.0 if step_mm is None and path.suffix.lower() == ".npy" else step_mm
-                for name, given in (("spacing_mm", spacing_mm), ("step_mm", step_mm)):
-                    if not isinstance(given, float | int) or not 0 < given <= 1:
+                for name, given, most in (("spacing_mm", spacing_mm, 1), ("step_mm", step_mm, 1000)):
+                    if not isinstance(given, float | int) or not 0 < given <= most:
                         raise ValueError(
-                            f"{name} = {given!r}: a height map needs it, above 0 and at most 1 mm"
+                            f"{name} = {given!r}: a height map needs it, above 0 and at most {most} mm"
                         )
                 return cls.of(-step_mm * values, spacing_mm, **fields)
             triangles_mm, height_mm = lower_end(

@@ -21,8 +21,8 @@ MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
 COLOURINGS: tuple[Colouring, ...] = ("picture", "displacement", "pressure")
 _INDENTER_RGBA = (176, 184, 196, 255)
-# glTF counts in metres; PLY has no unit and gets millimetres.
-_METRES_PER_MM = 1e-3
+# glTF counts in metres and has y up; PLY has no unit and gets millimetres.
+_GLTF_FROM_MM = 1e-3 * np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1e3]])
 _ROUNDING = 1e-3
 # Of the page's membrane the first share shines by itself, in the very colours of its texture; the second is shaded. The
 # page's lights are bright, so that both together are less than 1.
@@ -79,14 +79,14 @@ def mesh_bytes(
     picture: NDArray[np.uint8],
     suffix: str,
 ) -> bytes:
-    """Return membrane and indenter as a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
+    """Return membrane and indenter as a file: `.glb`, textured, in metres, y up, or `.ply`, coloured, in mm."""
     membrane = membrane_mesh(solved, camera, picture)
     body = indenter_mesh(indenter)
     body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
     body.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
     if suffix == ".glb":
         both = trimesh.Scene({"membrane": membrane, "indenter": body})
-        return both.scaled(_METRES_PER_MM).export(None, file_type="glb")
+        return both.apply_transform(_GLTF_FROM_MM).export(None, file_type="glb")
     membrane.visual = membrane.visual.to_color()
     return trimesh.util.concatenate([membrane, body]).export(None, file_type="ply")
 

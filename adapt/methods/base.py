@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from traceback import extract_tb
 from typing import ClassVar
 
 import numpy as np
@@ -165,8 +167,26 @@ class Method(nn.Module):
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has neither transfer_loss, loss nor adapt")
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         """Return what is added to a step's loss; by default λ_t times `transfer_loss`, and nothing while λ_t is 0."""
         return None if step.weight == 0 else TransferLoss(self.transfer_loss(source, target), step.weight)
+
+
+def loss_of(method: Method, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
+    """Return a method's loss; a RuntimeError names the line of its code that fails, or what is no loss."""
+    name = type(method).__name__
+    try:
+        found = method.loss(source, target, step)
+    except (FeatureCollapse, TrainingDiverged):
+        raise
+    except Exception as error:
+        own = [frame for frame in extract_tb(error.__traceback__) if "/torch/" not in frame.filename]
+        place = f"line {own[-1].lineno} of {Path(own[-1].filename).name}"
+        raise RuntimeError(f"method {name}, {place}: {type(error).__name__}: {error}") from error
+    value = getattr(found, "value", None)
+    if found is not None and not (isinstance(value, Tensor) and value.numel() == 1):
+        value = getattr(value, "shape", value)
+        raise RuntimeError(f"method {name}: its loss must be a scalar tensor, and is {value}")
+    return found

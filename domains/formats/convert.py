@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image, visible_files
-from gelgap.assets.names import is_plain_name
+from gelgap.assets.names import comma_list, is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
 from gelgap.domains.frames.folders import picture_paths, tables_in
@@ -373,6 +373,9 @@ def _recordings(folder: Path, every: int, lag: int | None) -> Iterator[Selection
     tables = tables_in(folder)
     if not tables:
         raise ValueError(f"{folder} holds no recordings: {_LAYOUT}")
+    clips = {table.stem for table in tables}
+    if left := [path.name for path in visible_files(folder) if not {path.name, path.stem} & clips]:
+        LOG.warning("not read, since no CSV table has their name: %s", comma_list(left))
     return (_recorded_clip(table).selected(every, lag) for table in tables)
 
 

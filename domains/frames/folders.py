@@ -19,12 +19,7 @@ from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames
 from gelgap.domains.frames.joined import join_domains
-from gelgap.domains.frames.labels import (
-    FORCE_COLUMNS,
-    PAPER_RANGES,
-    Labels,
-    covering,
-)
+from gelgap.domains.frames.labels import FORCE_COLUMNS, PAPER_RANGES, Labels, covering
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import known_columns, plain_name
 from gelgap.render import Camera
@@ -101,6 +96,7 @@ def _layout_problem(folder: Path, files: list[Path]) -> str | None:
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
     if not inside and any(not _is_reference(path) for path in _pictures(files)):
         return None
+    inside = inside or sorted({path.parent.name for path in folder.glob(f"*/*{TABLES[0]}")})
     what = "does not exist" if not folder.exists() else "is not a data set"
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
@@ -292,11 +288,7 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 
 
 def _shared_reference(
-    folder: Path,
-    files: list[Path],
-    columns: dict[str, np.ndarray],
-    paths: list[Path],
-    notes: list[str],
+    folder: Path, files: list[Path], columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
 ) -> Path:
     """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
     named = [path for path in _pictures(files) if _is_reference(path)]

@@ -36,70 +36,29 @@ WHOLE_NUMBERS = {
     "step": ("step",),
 }
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
-PICTURE_NAMES = (
-    "image",
-    "file",
-    "file name",
-    "path",
-    "picture",
-    "frame",
-    "img",
-    "image path",
-    "image file",
-    "image name",
-    "img path",
-    "file path",
-)
+PICTURE_NAMES = ("image", "picture", "frame", "img", "file", "path")
+PICTURE_NAMES += ("image path", "image file", "image name", "img path", "file path", "file name")
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
 # What a table without labels may hold as such: one force of several axes, or of none that is known.
-_FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|wrench|ft|load|f[\W_]?[xyzn]?)(?![a-z])", re.IGNORECASE)
+_FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|kraft|wrench|ft|load|f[\W_]?[xyzn]?)(?![a-z])", re.IGNORECASE)
 # Programs name what an axis belongs to before it: `wrench.force.z`, `/ft/wrench/force/z`, `Force.Fz`.
 _BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 
 UNITS = {
-    "N": {
-        "N": 1,
-        "mN": 1e-3,
-        "cN": 1e-2,
-        "µN": 1e-6,
-        "kN": 1e3,
-        "g": 9.80665e-3,
-        "kg": 9.80665,
-        "lb": 4.4482216,
-        "oz": 0.27801385,
-    },
-    "N·mm": {
-        "N·mm": 1,
-        "N·m": 1e3,
-        "N·cm": 10,
-        "mN·m": 1,
-        "mN·mm": 1e-3,
-        "kg·cm": 98.0665,
-        "in·lb": 112.98483,
-        "lb·in": 112.98483,
-        "in·oz": 7.0615518,
-        "oz·in": 7.0615518,
-    },
+    "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3}
+    | {"g": 9.80665e-3, "kg": 9.80665, "lb": 4.4482216, "oz": 0.27801385},
+    "N·mm": {"N·mm": 1, "N·m": 1e3, "N·cm": 10, "mN·m": 1, "mN·mm": 1e-3, "kg·cm": 98.0665}
+    | {"in·lb": 112.98483, "lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
     "mm": {"mm": 1, "cm": 10, "m": 1e3, "µm": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
     "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
 }
 """What one of each unit is in gelgap's."""
-_LONG_UNITS = {
-    "newton": "n",
-    "newtons": "n",
-    "grams": "g",
-    "inches": "in",
-    "microns": "um",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "usec": "us",
-}
+_LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
+_LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
 _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
 # What people and programs write where there is no value.
-EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
+EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "#nv", "null", "none")
 # Times without a unit are seconds if they are closer than this; milliseconds of a log at 1 kHz are 1 apart.
 _LONGEST_LIKELY_STEP_S = 0.5
 _LARGEST_LIKELY_N = 150.0
@@ -107,6 +66,7 @@ _LARGEST_LIKELY_N = 150.0
 _COMMENTS = re.compile(r'\A(?:\s*"?(?:#|sep=).*\n)+')
 _SEPARATOR = re.compile("[,;\t]")
 _NUMBER = re.compile(r"[-+−]?(?:\d+|\d*([.,])\d+)(?:[eE][-+]?\d+)?")
+_WHOLE, _LIKE_THOUSANDS = re.compile(r"[-+−]?[1-9]\d*"), re.compile(r"[-+−]?[1-9]\d{0,2}[.,]\d{3}")
 
 
 class _UnusableError(ValueError):
@@ -118,12 +78,12 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
 
     Tabs or semicolons separate its columns if the header has one, else commas. It is in UTF-8, or UTF-16 with a mark.
     Comments (`# …`, and Excel's `sep=;`) are skipped, and units in a row below the header are put into it. Where
-    semicolons separate columns, decimal commas are read, unless there are decimal points too.
+    tabs or semicolons separate columns, decimal commas are read, unless there are decimal points too.
 
     Raises
     ------
     ValueError
-        If it is too large, is not such a table, or a row has another number of cells than the header.
+        If it is too large, no such table, has a row of another length than the header, or 1,000 may be a thousand.
     """
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(
@@ -140,7 +100,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
         rows = [row for row in ([cell.strip() for cell in line] for line in lines) if any(row)]
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
+        raise ValueError(f"{path} is not a CSV table in UTF-8 (Excel's 'CSV UTF-8'): {error}") from None
     if len(rows) < 2:
         raise ValueError(f"{path} has no rows")
     header = rows.pop(0)
@@ -151,14 +111,14 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     # A comment has another number of cells, or nothing but empty ones behind it.
     width = len(header)
     rows = [row for row in rows if row[0][:1] != "#" or (len(row) == width and (width == 1 or any(row[1:])))]
-    if separator == ";":
-        rows = _with_decimal_points(rows)
     for number, row in enumerate(rows, 1):
         if len(row) < len(header) or any(row[len(header) :]):
             raise ValueError(
                 f"{path}: row {number} below the header has {len(row)} cells, and the header {len(header)}; the first "
                 "line is the header, numbers are written with a decimal point, and texts with a comma in quotes"
             )
+    if separator != ",":
+        rows = _with_decimal_points(header, rows)
     if len(rows) > 1 and (of_columns := _row_of_units(rows[0])):
         header = [
             f"{name} ({unit})" if unit else name for name, unit in zip(header, of_columns, strict=False)
@@ -179,12 +139,21 @@ def _without_comments(text: str) -> str:
     return f"{last}\n{rows}" if is_header else rows
 
 
-def _with_decimal_points(rows: list[list[str]]) -> list[list[str]]:
-    """Return rows with points in numbers for decimal commas; as they are if some have points."""
-    numbers = [found for row in rows for cell in row if (found := _NUMBER.fullmatch(cell))]
-    if any(found[1] == "." for found in numbers):
+def _with_decimal_points(header: list[str], rows: list[list[str]]) -> list[list[str]]:
+    """Return rows with points in numbers for decimal commas; as they are if some have points.
+
+    A ValueError if no mark is surely a decimal one, and there are commas, or points in a column with whole numbers.
+    """
+    marked = {cell for row in rows for cell in row if (found := _NUMBER.fullmatch(cell)) and found[1]}
+    if all(map(_LIKE_THOUSANDS.fullmatch, marked)):
+        for name, cells in zip(header, zip(*rows, strict=False), strict=False):
+            cell = next((cell for cell in cells if cell in marked), "")
+            if "," in cell or (cell and any(map(_WHOLE.fullmatch, cells))):
+                two = f"{re.sub('[.,]', '', cell)} or {cell.replace(',', '.')}0"
+                raise ValueError(f"column {name!r}: {quoted(cell)} may be a thousand or not: write {two}")
+    if any("." in cell for cell in marked):
         return rows
-    return [[cell.replace(",", ".") if _NUMBER.fullmatch(cell) else cell for cell in row] for row in rows]
+    return [[cell.replace(",", ".") if cell in marked else cell for cell in row] for row in rows]
 
 
 def _row_of_units(row: list[str]) -> list[str] | None:

@@ -1,11 +1,13 @@
 """What a method owns begins by the seed of its run; and baselines without a network."""
 
 import numpy as np
+import pytest
 import torch
 
-from gelgap.adapt import Profile
+from gelgap.adapt import Method, Profile
 from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.evaluation import BASELINES, CONSTANT, evaluate_baselines
+from gelgap.adapt.methods.base import MethodSettings, Step, loss_of
 from gelgap.adapt.methods.registry import make_method
 from gelgap.domains import ArrayFrames
 
@@ -29,6 +31,24 @@ def test_what_a_method_owns_begins_by_the_runs_seed():
     )
     assert torch.equal(first, same)
     assert not torch.equal(first, other)
+
+
+class Own(Method):
+    def transfer_loss(self, source, target):
+        return source / target
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (None, r"^method Own, line \d+ of test_methods.py: TypeError: unsupported operand"),
+        (3.0, "^method Own: its loss must be a scalar tensor, and is 1.5"),
+        (torch.ones(4), r"a scalar tensor, and is torch.Size\(\[4\]\)"),
+    ],
+)
+def test_a_method_that_fails_is_told_by_its_line(source: object, message: str) -> None:
+    with pytest.raises(RuntimeError, match=message):
+        loss_of(Own(MethodSettings(), 8, 4), source, 2.0, Step(0, 1.0, np.random.default_rng(0)))
 
 
 def test_rules_beat_the_constant_where_area_tells_the_force() -> None:

@@ -413,11 +413,11 @@ def test_without_a_folder_stage_1_is_trained_once(source, target, short):
 
 
 def test_a_wrong_setting_of_a_method_is_an_error_before_any_work(source, target, profile):
-    wrong = profile.replace(settings={"daregram": {"threshold": -1.0}})
-    with pytest.raises(
-        ValueError, match=r"settings of method daregram: threshold = -1\.0: input should be greater"
-    ):
-        adapt_folders(source, target, ["source-only", "daregram"], wrong, progress=pytest.fail)
+    low = r"settings of method daregram: threshold = -1\.0: input should be greater"
+    for name, message in (("daregram", low), ("dare-gram", "method 'dare-gram' is unknown")):
+        wrong = profile.replace(settings={name: {"threshold": -1.0}})
+        with pytest.raises(ValueError, match=message):
+            adapt_folders(source, target, ["source-only", "daregram"], wrong, progress=pytest.fail)
 
 
 @pytest.mark.parametrize("name", ["smoke", "cpu", "board", "paper"])

@@ -1,13 +1,14 @@
 """Images as real tools write them: depth, channels, kinds and sizes."""
 
 import io
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from gelgap.assets.image_file import decode_image, read_image, stated_size_px
+from gelgap.assets.image_file import decode_image, picture_files, read_image, read_levels, stated_size_px
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (12, 16, 3), dtype=np.uint8)
 PIXELS[0, 0] = 255
@@ -72,12 +73,19 @@ def test_other_kinds_are_refused(data: bytes, problem: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
-def test_a_file_that_is_turned_by_its_exif_is_read_as_viewers_show_it(kind: str) -> None:
+def test_a_file_that_is_turned_by_its_exif_is_read_as_viewers_show_it(kind: str, tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6  # a quarter turn clockwise
     data = pillow_file(COLOUR, kind, exif=exif)
     assert decode_image(data).shape == (16, 12, 3)
     assert stated_size_px(data) == (12, 16)
+    (tmp_path / "levels").write_bytes(pillow_file(COLOUR.convert("L"), kind, exif=exif))
+    assert read_levels(tmp_path / "levels").shape == (16, 12)
+
+
+def test_pictures_of_a_kind_that_is_not_read_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    assert picture_files([Path("0.png"), Path("1.HEIC"), Path("notes.txt")]) == [Path("0.png")]
+    assert caplog.messages == ["pictures that are not read, unless you save them as PNG: 1.HEIC"]
 
 
 def test_messages_name_the_file(tmp_path) -> None:

@@ -50,5 +50,5 @@ def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused
     assert "16 × 16 × 4 mm" in refused(*press, "--set", "unit=m")
     message = refused(*press, "--set", "unit=m", "flip=true")
     assert "3 × 3 × 12 mm, the convex end of a body of 16 × 16 × 16 mm" in message
-    assert "touches by its top (+z of the file)" in message
+    assert "touches by its top (+z, of glTF +y)" in message
     assert "flip: a box has none" in refused("press", "--indenter", "box", "--set", "flip=true")

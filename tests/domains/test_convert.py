@@ -12,9 +12,12 @@ from gelgap.domains import convert
 from gelgap.domains.formats.convert import COLUMNS, write_picture_table
 
 
-def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
+def test_a_users_recordings_are_lined_up_by_their_own_clocks(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
     mine = write_recordings(tmp_path / "mine")
     (mine / "press-1.avi").rename(mine / "press-1.AVI")
+    (mine / "no-table.mp4").touch()
     found = convert(mine, "recordings", tmp_path / "out")
     assert [(clip.domain, clip.name, clip.lag) for clip in found] == [
         ("mine", "press-1", 3),
@@ -24,6 +27,7 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
     assert list(rows[0]) == ["picture", "reference", "fx_n", "fz_n", "clip", "object", "session", "time_s"]
     assert {row["object"] for row in rows} == {"press"}
     on_video, of_pictures = (force_of(tmp_path / "out/mine", name) for name in ("press-1", "press-2"))
+    assert "not read, since no CSV table has their name: no-table.mp4" in caplog.messages
     assert on_video[26] == pytest.approx(of_pictures[26], abs=0.2)
     assert all(float(row["fx_n"]) == pytest.approx(-0.1 * float(row["fz_n"])) for row in rows[:20])
 

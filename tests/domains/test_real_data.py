@@ -176,6 +176,12 @@ def picture_folder(folder: Path, text: str) -> Path:
             "row 2 below the header holds '-0,5'; write a decimal",
         ),
         ("picture fz_n\n0.png 0\n1.png -0.5\n", "tabs must separate columns; its header is 'picture fz_n'"),
+        (
+            "picture;fz_mN\n0.png;-500\n1.png;-1,000\n",
+            "'fz_mN': '-1,000' may be a thousand or not: write -1000 or -1.0000",
+        ),
+        ("picture;fz_mN\n0.png;-500\n1.png;-1.000\n", "'-1.000' may be a thousand or not: write -1000 or"),
+        ("picture;Kraft z [N]\n0.png;-0,5\n", "does not say which axis"),
         ("picture,fz_n\n0.png,0\n1.png,-0,5\n", "row 2 below the header has 3 cells, and the header 2"),
         ("picture,fz_n,fx\n0.png,0,0\n1.png,-0.5\n", "row 2 below the header has 2 cells, and the header 3"),
         ("picture,fz_n\n0.png,0\n,-0.5\n", "column 'picture': row 2 below the header holds nothing"),
@@ -279,6 +285,8 @@ def test_a_column_that_nobody_needs_is_skipped_and_said(tmp_path: Path):
         "picture,Fz\n.\\0.png,0\n1.png,−0.5\n",
         "# of today\n# picture,Fz\n0.png,0\n1.png,-0.5\n",
         "picture,Fz\n0.png,0\n# second series\n1.png,-0.5\n",
+        "picture\tFz (mN)\n0.png\t0,000\n1.png\t-500,000\n",
+        "picture;step;Fz\n0.png;1;0.000\n1.png;2;-0.500\n",
         "picture;Fz\n0.png;0\n# second series;\n1.png;-0,5\n;\n",
     ],
 )

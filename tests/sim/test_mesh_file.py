@@ -22,6 +22,11 @@ def overturned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices * [1, -1, -1], mesh.faces)
 
 
+def y_up(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a body in metres with y up, as Blender writes glTF."""
+    return trimesh.Trimesh(1e-3 * mesh.vertices[:, [0, 2, 1]] * [1, 1, -1], mesh.faces)
+
+
 def some(mesh: trimesh.Trimesh, faces: np.ndarray) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces[faces])
 
@@ -57,12 +62,12 @@ CUBE_OBJ = "\n".join(
         ("box.stl", BOX, {}, (4, 3, 10)),
         ("rounded.stl", BOX, {"edge_radius_mm": 0.4}, (4, 3, 10)),
         ("metres.stl", moved(BOX, 0, 1e-3), {"unit": "m"}, (4, 3, 10)),
-        ("metres.glb", moved(BOX, 0, 1e-3), {}, (4, 3, 10)),
+        ("metres.glb", y_up(BOX), {}, (4, 3, 10)),
         ("inch.stl", moved(BOX, 0, 1 / 25.4), {"unit": "inch"}, (4, 3, 10)),
         ("seams.ply", SEAMS, {}, (4, 3, 10)),
         ("blender.obj", CUBE_OBJ, {}, (4, 4, 4)),
         ("inside-out.stl", trimesh.Trimesh(BOX.vertices, BOX.faces[:, ::-1]), {}, (4, 3, 10)),
-        ("bodies.glb", trimesh.Scene([moved(STEM, 0, 1e-3), moved(PLATE, 0, 1e-3)]), {}, (3, 3, 6)),
+        ("bodies.glb", trimesh.Scene([y_up(STEM), y_up(PLATE)]), {}, (3, 3, 6)),
         ("tip.stl", TIP, {}, (3, 3, 6)),
         ("tip-up.stl", overturned(TIP), {"flip": True}, (3, 3, 6)),
         ("shell.stl", SHELL, {}, (4, 4, 4)),
@@ -79,6 +84,11 @@ def test_a_body_is_pressed_at_its_size(
     assert f"{size} mm" in pressed.label
     assert ("top (+z" if fields.get("flip") else "bottom (−z") in pressed.label
     assert pressed.reach_mm(np.array([[0, 0, -1.0]]))[0] == pytest.approx(0, abs=1e-6)
+
+
+def test_that_gltf_has_y_up_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    load_indenter(str(written(tmp_path / "box.glb", y_up(BOX))))
+    assert "its −y is its bottom, as glTF has y up; if yours has z up, export STL" in caplog.text
 
 
 def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
@@ -101,10 +111,10 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
         ("flat.stl", some(BOX, BOX.triangles[:, :, 2].max(axis=1) < 1), {}, "only 0 mm high"),
         ("sheet.stl", some(BOX, BOX.triangles[:, :, 0].max(axis=1) < 0), {}, "is flat where it touches"),
         ("points.ply", trimesh.PointCloud(BOX.vertices), {}, "holds no triangles"),
-        ("empty.obj", "", {}, "is not a mesh|holds no triangles"),
+        ("empty.obj", "", {}, "is no readable mesh|holds no triangles"),
         ("nan.obj", CUBE_OBJ.replace("v -2 -2 0", "v nan -2 0"), {}, "not finite"),
         ("part.step", "ISO-10303-21;", {}, "is no mesh but a CAD file; export STL, OBJ or GLB"),
-        ("part.blob", "…", {}, "is not a mesh that can be read"),
+        ("part.blob", "…", {}, "is no readable mesh .*, heights as .npy"),
     ],
 )
 def test_what_cannot_be_pressed_is_refused_in_a_sentence(

@@ -110,12 +110,16 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
     np.testing.assert_allclose(relief.cut_mm(0.5), [-1, 1, -1, 1], atol=0.1)
     np.save(tmp_path / "relief.npy", values * 5e-5)
     assert load_indenter(str(tmp_path / "relief.npy"), spacing_mm=0.1).cut_mm(0.5) == relief.cut_mm(0.5)
+    np.save(tmp_path / "metres.npy", values * 5e-8)
+    metres = load_indenter(str(tmp_path / "metres.npy"), spacing_mm=0.1, step_mm=1000.0)
+    assert metres.deepest_mm == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ("values", "fields", "message"),
     [
-        (np.ones((20, 20)), {"spacing_mm": 0.1}, "is empty: its heights differ by 0 µm"),
+        (np.ones((20, 20)), {"spacing_mm": 0.1}, "heights differ by 0 mm"),
+        (1e-3 * np.eye(20), {"spacing_mm": 0.1}, "by 0.001 mm, must .* step_mm .* 1000 if in m"),
         (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "holds NaN or inf, .* write −inf where nothing is"),
         (np.eye(20), {"spacing_mm": "0.1"}, "spacing_mm = '0.1': a height map needs it"),
         (np.eye(20), {"spacing_mm": 0.1, "edge_radius_mm": "0.1"}, "edge_radius_mm = '0.1': input should be"),
