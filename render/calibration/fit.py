@@ -28,7 +28,7 @@ _REFERENCE_STEP = 4
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
 _MOST_STEP_MM = 0.06
-MOST_BLUR_PX = 4.0
+MOST_BLUR_PX = 2.0  # more stands in for the slope at the rim and widens edges twofold (results/sensors.md)
 # By what share the error must fall for a blur to be believed: less is what meshes and pixels blur.
 _LEAST_GAIN = 0.02
 # By which slopes of marks' errors over place (a wrong scale) and depth (marks exaggerate it) are drawn to 0.
