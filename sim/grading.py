@@ -21,7 +21,7 @@ _SAMPLES = 4000
 _CURVED_PLACES = 60
 # Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick: the
 # first, or the second times how many of these thicknesses it is wide, up to the third. Scene 498, a box of 6.5 × 8.4 mm
-# on 1.8 mm of gel, takes 0.6 of the time so, and its force changes by 0.1 %.
+# on 1.8 mm of gel, takes 0.6 of the time so; its force changes by 0.1 %, that of another one (327) by 0.3.
 _MIDDLE_CELLS, _MIDDLE_CELLS_PER_WIDTH, _MOST_MIDDLE_CELLS = 1.5, 0.75, 3.0
 # A surface is flat if its radius of curvature is this many times the contact's width.
 _FLAT_RADII = 20.0
