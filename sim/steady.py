@@ -78,12 +78,14 @@ class SteadySlide:
     waypoints: tuple[int | _Moved, ...]
 
     def looks(self, solutions: Sequence[Solution]) -> list[_Look]:
-        """Return what the two looks at each slide that converged show."""
+        """Return what the two looks at each slide that converged show, of those solved so far."""
         ends = [waypoint.end for waypoint in self.waypoints if isinstance(waypoint, _Moved)]
         return [
             _look(solutions, end)
             for end in ends
-            if end.earlier >= 0 and solutions[end.problem].records[end.record].converged
+            if end.earlier >= 0
+            and end.problem < len(solutions)
+            and solutions[end.problem].records[end.record].converged
         ]
 
     def moved(self, solutions: Sequence[Solution]) -> Solution:
@@ -118,19 +120,26 @@ def solve_steadily(
 ) -> Solution:
     """Solve a problem with its slides shortened where they are steady, or as it is where they are not.
 
-    A slide that is not steady where it was to be is solved anew, twice as far. One that slides wholly there and still
-    changes does so as its vertices come and go, however far it is: the change is its stated error.
+    A slide that is not steady where it was to be is solved anew, twice as far, at once: the slides that end near other
+    edges wait for that, and what is the same then, such as a press, is not solved again. One that slides wholly there
+    and still changes does so as its vertices come and go, however far it is: the change is its stated error.
     """
-    travels, slid_wholly = _TRAVELS_TO_SLIP, False
+    travels, slid_wholly, largest = _TRAVELS_TO_SLIP, False, _largest_change(problem)
+    solved: dict[ContactProblem, Solution] = {}
     while (slide := steady_slide(problem, travels)) is not None:
         ends = list(itertools.accumulate((own.load_steps for own in slide.solved), initial=0))
-        solutions = [
-            solve(own, lambda done, _, before=before, total=ends[-1]: progress(before + done, total))
-            for own, before in zip(slide.solved, ends[:-1], strict=True)
-        ]
-        looks, largest = slide.looks(solutions), _largest_change(problem)
-        slides_wholly = all(look.sticking <= _STICKING_SHARE for look in looks)
-        if slides_wholly and (slid_wholly or all(look.change <= largest for look in looks)):
+        solutions: list[Solution] = []
+        for own, before in zip(slide.solved, ends[:-1], strict=True):
+            if own not in solved:
+                solved[own] = solve(
+                    own, lambda done, _, before=before, total=ends[-1]: progress(before + done, total)
+                )
+            solutions.append(solved[own])
+            looks = slide.looks(solutions)
+            slides_wholly = all(look.sticking <= _STICKING_SHARE for look in looks)
+            if not slides_wholly or not (slid_wholly or all(look.change <= largest for look in looks)):
+                break
+        else:
             return slide.moved(solutions)
         travels, slid_wholly = 2 * travels, slides_wholly
     return solve(problem, progress)

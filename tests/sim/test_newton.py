@@ -115,3 +115,14 @@ def test_increments_that_grow_are_left_alone() -> None:
     acceleration = AndersonAcceleration()
     for size in (1.0, 1.2, 1.5):
         assert not acceleration.correction(np.array([size, 0.0]), np.array([0.0, size]), 1e3).any()
+
+
+@pytest.mark.parametrize(("turns", "led"), [(1.0, True), (-1.0, False)])
+def test_increments_that_grow_again_and_again_are_led_on_if_they_keep_their_direction(
+    turns: float, led: bool
+) -> None:
+    acceleration = AndersonAcceleration()
+    increments = [turns**k * np.array([0.0, 1e-3 * 1.04**k]) for k in range(4)]
+    *before, last = (acceleration.correction(np.zeros(2), increment, 1.0) for increment in increments)
+    assert not np.any(before)
+    assert last == pytest.approx([0.0, 0.5 if led else 0.0])

@@ -183,6 +183,17 @@ def test_rings_follow_a_sharper_edge_than_lines_and_finer_for_it() -> None:
     assert edge_radius_mm(problems[1], 0.1) == pytest.approx(0.1, rel=0.05)
 
 
+@pytest.mark.parametrize(("thickness_mm", "cells"), [(3.0, 1.5), (2.0, 2.25), (1.0, 3.0)])
+def test_cells_in_the_middle_widen_with_the_thicknesses_that_a_contact_is_wide(
+    thickness_mm: float, cells: float
+) -> None:
+    gel = GEL.model_copy(update={"thickness_mm": thickness_mm})
+    body = Box(size_mm=(6.0, 6.0), edge_radius_mm=0.5)
+    problem = plan_visit(gel, body, (Pose(depth_mm=0.2),), "draft").solves[0].problem
+    widest_mm = sizes_along(problem, 0, 2.5, (0.0, 0.0)).size_mm.max()
+    assert widest_mm / problem.widest_cell_mm == pytest.approx(cells, rel=0.05)
+
+
 def test_a_mesh_that_is_its_own_mirror_image_shares_as_a_box_does() -> None:
     assert _ball_of_triangles().symmetry is Symmetry.MIRROR
     assert ConvexMesh(hull_mm=TETRAHEDRON).symmetry is Symmetry.MIRROR_Y

@@ -1,5 +1,8 @@
 """Slides that are moved: what of a path is solved, when nothing is, and that the moved state is the slide's own."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from gelgap.sim import Elastomer, Pose, Sharing, Sphere
@@ -7,7 +10,7 @@ from gelgap.sim.newton import solve
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
-from gelgap.sim.steady import steady_slide
+from gelgap.sim.steady import solve_steadily, steady_slide
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.3)
 
@@ -47,6 +50,27 @@ def test_a_slide_towards_an_edge_is_solved_where_it_ends() -> None:
     along_the_edge = steady_slide(problem_of(Pose(0.2, 0.0, 1.0, point_x_mm=10.0)))
     assert along_the_edge is not None
     assert len(along_the_edge.solved) == 1
+
+
+def test_what_is_not_steady_is_solved_twice_as_far_before_anything_else_and_a_press_once() -> None:
+    """Two slides end near an edge; while the first sticks the second is not solved, nor is their press again."""
+    problem = problem_of(Pose(0.2, 0.8, point_x_mm=10.0), Pose(0.2, 1.2, point_x_mm=10.0))
+    solved = []
+
+    def sticking(own: ContactProblem, _: object) -> SimpleNamespace:
+        solved.append(own)
+        record = SimpleNamespace(
+            converged=True, force_n=np.ones(3), diagnostics=SimpleNamespace(sticking_fraction=1.0)
+        )
+        return SimpleNamespace(records=[record] * len(own.waypoints_mm))
+
+    solve_steadily(problem, sticking)
+    press, first, further = solved[:3]
+    assert [own for own in solved if own.travel_mm == 0] == [press]
+    assert further.travel_mm == pytest.approx(2 * first.travel_mm)
+    ends_mm = [problem.pad_mm[1] - (own.pad_mm[1] - own.travel_mm) for own in (first, further)]
+    assert ends_mm == pytest.approx([0.8, 0.8])
+    assert solved[-1] == problem
 
 
 @pytest.mark.parametrize(
