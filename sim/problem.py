@@ -23,7 +23,7 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 35
+_METHOD_VERSION = 36
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
 # Its patch is narrower than this share of it where it is a ring.
