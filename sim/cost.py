@@ -23,10 +23,10 @@ _TOUCHABLE_S, _DENSE_S, _GFLOP_S = 0.22, 0.6, 0.0125
 _PRESS_ITERATIONS, _DRAG_ITERATIONS, _CELL_ITERATIONS = 5.7, 6.8, 10.0
 # A forecast above this many core seconds comes with advice on what would make the solve cheaper.
 DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
-# A way is given up once it has taken this many times its forecast, core seconds, but no fewer than these and no more
-# than `_MOST_OF_LONGEST` times these: three of 39 random scenes took 55 to over 90 s at `draft`, and ended flagged.
+# A way is given up after `_LONGEST_FORECASTS` forecasts, no fewer core seconds than these and no more than
+# `_MOST_OF_LONGEST` times these, but not before `_FEWEST_FORECASTS`: nine of ten random bodies take no more.
 LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
-_LONGEST_FORECASTS, _MOST_OF_LONGEST = 2.5, 3.0
+_LONGEST_FORECASTS, _MOST_OF_LONGEST, _FEWEST_FORECASTS = 2.5, 3.0, 1.5
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
@@ -89,8 +89,8 @@ def expected_iterations(problem: ContactProblem) -> float:
 def most_iterations(problem: ContactProblem) -> int:
     """Return after how many iterations a way through a problem's waypoints is given up."""
     work, longest_s = expected_work(problem), LONGEST_S[problem.quality.name]
-    allowed_s = min(max(longest_s, _LONGEST_FORECASTS * work.core_s), _MOST_OF_LONGEST * longest_s)
-    return math.ceil(allowed_s / work.iteration_s)
+    usual_s = min(_LONGEST_FORECASTS * work.core_s, _MOST_OF_LONGEST * longest_s)
+    return math.ceil(max(longest_s, _FEWEST_FORECASTS * work.core_s, usual_s) / work.iteration_s)
 
 
 def cheaper(problem: ContactProblem) -> dict[str, float]:

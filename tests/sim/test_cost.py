@@ -3,7 +3,7 @@
 import pytest
 
 from gelgap.sim import Box, Elastomer, Pose, Sphere
-from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_core_s, expected_work, forecast
+from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_core_s, expected_work, forecast, most_iterations
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.newton import solve
 from gelgap.sim.plan import plan_visit
@@ -47,3 +47,14 @@ def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
 def test_work_costs_what_it_consists_of() -> None:
     one, twice = Work(3.0, 0.1, 0.4, 20.0), Work(3.0, 0.1, 0.4, 40.0)
     assert one.core_s < twice.core_s < 2 * one.core_s
+
+
+@pytest.mark.parametrize(("core_s", "most_s"), [(2.0, 20.0), (16.0, 40.0), (36.0, 60.0), (70.0, 105.0)])
+def test_no_solve_is_given_up_before_half_more_than_its_forecast(
+    monkeypatch: pytest.MonkeyPatch, core_s: float, most_s: float
+) -> None:
+    work = Work(10.0, 1.0, 10.0, 50.0)
+    work = work._replace(iterations=work.iterations + (core_s - work.core_s) / work.iteration_s)
+    monkeypatch.setattr("gelgap.sim.cost.expected_work", lambda _: work)
+    taken_s = most_iterations(_problem(Pose(depth_mm=0.6))) * work.iteration_s
+    assert most_s <= taken_s <= most_s + work.iteration_s
