@@ -4,6 +4,10 @@ One network for any light
 
 A network reads force, shear too, in a light that it has never seen, by four pictures of a ball pressed at known places:
 they turn its colours into slopes. It is trained once, in drawn lights; another sensor of this gel needs no training.
+Lamps must have different colours: in white light alone four presses bring nothing.
+
+It takes four core minutes; ``python examples/any_light.py 3 4 20``, of 3 lights, 4 contacts in each and 20 steps, shows
+within half a minute that it runs.
 """
 
 import sys
