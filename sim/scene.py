@@ -255,6 +255,11 @@ class CanonicalFrame:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
 
+    def points_mm(self, x_mm: Floats, y_mm: Floats, pose: Pose) -> Floats:
+        """Return the points (ny, nx, 2) of a grid on the sensor, from a pose's contact point and in this frame."""
+        from_point_mm = np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm)
+        return np.stack(from_point_mm, axis=-1) @ self.to_sensor
+
     def command(self, pose: Pose) -> tuple[float, ...]:
         """Return how far the indenter goes (x, y, z), mm, and turns (x, y, z), degrees, in this frame."""
         turn = np.linalg.det(self.to_sensor).round() * (self.to_sensor_3d.T @ np.array(pose.turn_deg))
@@ -304,8 +309,8 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
         if not pose.radius_mm and any(pose.roll_deg):
             # A roll about y leads along x.
             x, y = pose.roll_deg[1], -pose.roll_deg[0]
-        return CanonicalFrame(None, _turn(math.atan2(y, x)))
-    turn = _turn(math.radians(scene.indenter.yaw - indenter.yaw))
+        return CanonicalFrame(None, plane_rotation(math.atan2(y, x)))
+    turn = plane_rotation(math.radians(scene.indenter.yaw - indenter.yaw))
     x, y = (0.0, 0.0) if interior else (x, y)
     shear_x, shear_y = turn.T @ [pose.shear_x_mm, pose.shear_y_mm]
     mirror = np.ones(2)
@@ -319,6 +324,7 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     return CanonicalFrame(pad, turn @ np.diag(mirror))
 
 
-def _turn(angle: float) -> Floats:
+def plane_rotation(angle: float) -> Floats:
+    """Return the matrix (2, 2) that turns by an angle in radians, from x towards y."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, -sine], [sine, cosine]])

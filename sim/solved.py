@@ -128,7 +128,8 @@ class ContactSolve:
             return SolvedPose.untouched(x_mm, y_mm, contact_solve=self)
         record, ratio = self.record, self.modulus_ratio
         between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
-        rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
+        rest_mm = placement.frame.points_mm(x_mm, y_mm, self.pose)
+        displacement_mm = between.at(rest_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
         found = diagnose(self.solution, placement.record, radius_mm, twist, ratio)
@@ -136,8 +137,7 @@ class ContactSolve:
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter
 
-            table = pressure_table(self.solution, record)
-            field_mpa = table.around(self.pose, placement.frame, extent_mm)[1][..., 0]
+            field_mpa = pressure_table(self.solution, record).at(rest_mm)[..., 0]
             smooth_mpa = uniform_filter(field_mpa * contact, _SHARED_POINTS)
             pressure_mpa = uniform_filter(smooth_mpa, _SHARED_POINTS)[contact]
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
@@ -162,8 +162,7 @@ class ContactSolve:
 
     def around(self, table: PolarTable, state: MembraneState) -> Floats:
         """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
-        extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-        return table.around(self.pose, self.placement.frame, extent_mm)[1]
+        return table.at(self.placement.frame.points_mm(state.x_mm, state.y_mm, self.pose))
 
     def stand(self) -> Stand:
         """Return where the indenter is, and how it is turned, on the sensor."""
