@@ -69,16 +69,11 @@ _POLISHING_ITERATIONS = 40
 _REMEMBERED, _SMALLEST_SINGULAR_VALUE = 5, 1e-6
 
 
-def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
-    """Solve the problem from the undeformed gel.
-
-    Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
-    """
+def solve(problem: ContactProblem, progress: SolveProgress = silent) -> Solution:
+    """Solve the problem from the undeformed gel."""
     # Several threads would wait for one another at hundreds of small matrices.
     with threadpool_limits(limits=1, user_api="blas"):
-        return solve_steadily(
-            problem, lambda own, told: StaticNewton(own, condensed=condensed).follow_waypoints(told), progress
-        )
+        return solve_steadily(problem, lambda own, told: StaticNewton(own).follow_waypoints(told), progress)
 
 
 @dataclass(frozen=True)
@@ -100,10 +95,10 @@ class State:
 class StaticNewton:
     """Gel and indenter of a problem on their way through load steps, from the undeformed and untouched gel on.
 
-    `iterations` counts those since the last waypoint. Unless it is `condensed`, MuJoCo does all of the linear algebra.
+    `iterations` counts those since the last waypoint. MuJoCo only checks solutions of the condensed problem.
     """
 
-    def __init__(self, problem: ContactProblem, *, condensed: bool = True) -> None:
+    def __init__(self, problem: ContactProblem) -> None:
         mesh = mesh_for(problem)
         self.problem = problem
         self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
@@ -120,13 +115,9 @@ class StaticNewton:
         self._most_iterations = most_iterations(problem)
         self._ran_away = False
         self._rigid = problem.mount_stiffness_n_per_mm is None
-        self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
         # Whether the last iteration was MuJoCo's with the present tangent.
         self._accepted = False
-        if condensed:
-            # MuJoCo only checks solutions: conjugate gradients factorise nothing where it refuses one.
-            gel.model.opt.solver, gel.model.opt.iterations = mujoco.mjtSolver.mjSOL_CG, 1
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
         """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
@@ -311,10 +302,6 @@ class StaticNewton:
         """
         model, data = self.gel.model, self.data
         self._set_up_solver()
-        if not self._condensed:
-            model.opt.tolerance = 0
-            mujoco.mj_fwdConstraint(model, data)
-            return
         if self._contact_newton is None:
             self._contact_newton = ContactNewton(self.gel, data, elimination_groups(self.problem))
         try:
