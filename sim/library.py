@@ -156,13 +156,8 @@ class LibraryPlan:
 
     def place_of(self, depth_mm: float, travel_mm: float) -> float:
         """Return where a travel lies among those solved at its depth: 0 for the first, 1 for the next."""
-        slides_mm, farthest_mm = self._turn_mm(depth_mm)
-        if travel_mm == 0 or farthest_mm == 0:
-            return 0.0
-        if travel_mm <= slides_mm:
-            return _STICKING_TRAVELS * travel_mm / slides_mm
-        beyond = (travel_mm - slides_mm) / (farthest_mm - slides_mm)
-        return _STICKING_TRAVELS + _SLIDING_TRAVELS * min(beyond, 1.0)
+        solved = self.travels_mm(depth_mm)
+        return float(np.interp(travel_mm, solved, np.arange(len(solved))))
 
     def _turn_mm(self, depth_mm: float) -> tuple[float, float]:
         """Return a travel from which the contact slides, less where that is beyond the ranges, and the farthest."""
