@@ -9,13 +9,11 @@ from scipy import linalg, optimize, sparse
 from scipy.spatial import Delaunay
 
 from gelgap.sim.fronts import Condensation, Group
-from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.indenter import Floats, Indenter, Ints
 from gelgap.sim.membrane import shares_mm2
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 from gelgap.sim.relief import Recesses
 from gelgap.sim.solution import sticks
-
-Ints = NDArray[np.int64]
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
 _FRICTIONLESS = 1e-5
@@ -269,13 +267,7 @@ class ContactNewton:
         self._condensation = Condensation(stiffness, first_dof, groups)
 
     def factorise(self) -> None:
-        """Factorise A of the present state.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If A is not positive definite.
-        """
+        """Factorise A of the present state; LinAlgError if it is not positive definite."""
         data = self._data
         diagonal = data.M[self._diagonal_of_mass] + data.efm_diag
         self._lower = self._condensation.factorise(data.efm_K_val, diagonal)
@@ -285,12 +277,8 @@ class ContactNewton:
     def acceleration(self) -> Floats:
         """Return the acceleration a (nv,) that solves the problem; the data's contact forces become those of it.
 
-        A is the one that was factorised last, all else is the present state's.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If A is not positive definite, or not finite.
+        A is the one that was factorised last, all else is the present state's. LinAlgError if A is not positive
+        definite, or not finite.
         """
         data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
         force = data.qfrc_smooth + data.efm_c

@@ -15,11 +15,9 @@ from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gelgap.sim.indenter import Floats, Ints
 from gelgap.sim.mesh import mesh_for, touchable
 from gelgap.sim.problem import ContactProblem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A subtree with at most this many vertices becomes one group: many small ones cost more than the zeros of a large one.
 _SMALLEST_GROUP = 16
@@ -113,12 +111,8 @@ class _Branch:
 def elimination_groups(problem: ContactProblem) -> list[Group]:
     """Return the groups in which a problem's mesh is eliminated; its vertices are numbered in reverse order of that."""
     mesh = mesh_for(problem)
-    moving = len(mesh.vertices_mm) - len(mesh.bottom)
-    corners = mesh.tetrahedra
-    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
-    order = order[:, (order >= 0).all(axis=0)]
-    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
-    return assembly_tree(graph, len(touchable(mesh, problem)))
+    order = np.arange(len(mesh.vertices_mm) - len(mesh.bottom))[::-1]
+    return assembly_tree(mesh.neighbours[order][:, order], len(touchable(mesh, problem)))
 
 
 def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:

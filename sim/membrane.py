@@ -205,7 +205,7 @@ def press_onto(
     """
     depth_mm = max(min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm), 0.0)
     reach_mm = indenter.penetration_radius_mm(depth_mm) + _BULGE_MM
-    half_width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1).min() / 2
+    half_width_mm = np.ptp(indenter.cut_mm(depth_mm), axis=1).min() / 2
     gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
@@ -302,7 +302,7 @@ def cells_between(solution: Solution, record: Record) -> Cells:
     reach_mm = np.abs(rest_mm).max(axis=0)
     return Cells(
         tuple(own.passed(-reach, reach) for own, reach in zip(sizes, reach_mm, strict=True)),
-        np.reshape(problem.cut_mm, (2, 2)) + way_mm,
+        problem.cut_mm + way_mm,
         _FADING_CELLS * float(min(own.size_mm.min() for own in sizes)),
     )
 

@@ -213,13 +213,8 @@ class Surface(Shape):
     def contact_radius_mm(self, depth_mm: float) -> float:
         return _cut(self, depth_mm).widest_mm
 
-    def penetration_radius_mm(self, depth_mm: float) -> float:
-        return float(np.hypot(*_cut(self, depth_mm).rim_mm.T).max())
-
-    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
-        rim_mm = _cut(self, depth_mm).rim_mm
-        (x_min, y_min), (x_max, y_max) = rim_mm.min(axis=0).tolist(), rim_mm.max(axis=0).tolist()
-        return x_min, x_max, y_min, y_max
+    def _rim_mm(self, depth_mm: float) -> Floats:
+        return _cut(self, depth_mm).rim_mm
 
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Return the smallest radius of what bulges, along an axis, in each of some places: creases are no edges."""
