@@ -352,8 +352,6 @@ class MembraneCubic:
 
     def at(self, points_mm: Floats) -> Floats:
         """Return the displacement (…, 3) at points (…, 2)."""
-        from scipy.spatial import cKDTree
-
         points = self.within(points_mm)
         values = self._cubic(points)
         if self.cells is not None:
@@ -361,8 +359,6 @@ class MembraneCubic:
             near = share > 0
             in_cells = self._cubic_in_cells(self.cells.up_to(points[near]))
             values[near] += share[near, None] * (in_cells - values[near])
-        outside = np.isnan(values[..., 0])
-        values[outside] = self.displacement_mm[cKDTree(self.rest_mm).query(points[outside])[1]]
         return values
 
 
@@ -403,7 +399,7 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     per_area = force_n / np.maximum(shares_mm2(position, triangulation.simplices), 1e-9)[:, None]
     points = MembraneCubic(rest, per_area).within(_polar_points(solution.problem, rest))
     values = LinearNDInterpolator(triangulation, per_area)(points)
-    return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
+    return PolarTable(values.astype(np.float32), solution.problem.symmetric)
 
 
 def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
