@@ -12,7 +12,8 @@ from gelgap.sim.fronts import Condensation, Group
 from gelgap.sim.indenter import Floats, Indenter, Ints
 from gelgap.sim.membrane import shares_mm2
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
-from gelgap.sim.relief import Recesses
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.relief import recesses_of
 from gelgap.sim.solution import sticks
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
@@ -45,32 +46,22 @@ class FrictionalContacts:
     average half way: its slip counts from half way between its position at the start of the step and the one that it
     reached without friction. Other nodes slide freely.
 
-    The coefficient falls, with the slip since a node touched, from `static_friction` (None: as low) to `friction`.
-    Where a body has `recesses` that its mesh bridges, nodes sink into it as the gel fills them.
+    The coefficient falls, with the slip since a node touched, from the static to the kinetic one. Where a body has
+    recesses that its mesh bridges, nodes sink into it as the gel fills them.
     """
 
-    def __init__(
-        self,
-        gel: GelModel,
-        data: Any,
-        indenter: Indenter,
-        friction: float,
-        static_friction: float | None = None,
-        recesses: Recesses | None = None,
-    ) -> None:
-        self._gel = gel
-        self._data = data
-        self._indenter = indenter
-        self._friction = float(friction)
-        self._static_excess = 0.0 if static_friction is None else static_friction - friction
+    def __init__(self, gel: GelModel, data: Any, problem: ContactProblem) -> None:
+        self._gel, self._data, self._indenter = gel, data, problem.indenter
+        self._friction, static = float(problem.friction), problem.static_friction
+        self._static_excess = 0.0 if static is None else static - self._friction
         # Each geom's coefficient, and how far it had slid before this load step.
         self._friction_of = np.full(gel.model.ngeom, self._friction)
         self._slid_mm = np.zeros(gel.model.ngeom)
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
         self._held = self._landed = np.zeros(0, dtype=bool)
-        self._recesses = recesses
-        if recesses is not None:
+        self._recesses = recesses_of(problem)
+        if self._recesses is not None:
             surface, rest_mm = gel.mesh.surface, gel.mesh.vertices_mm
             self._area_mm2 = shares_mm2(rest_mm, surface[Delaunay(rest_mm[surface, :2]).simplices])
 

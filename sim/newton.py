@@ -13,10 +13,8 @@ from gelgap.sim.contact import ContactNewton, FrictionalContacts
 from gelgap.sim.cost import most_iterations
 from gelgap.sim.fronts import elimination_groups
 from gelgap.sim.indenter import Floats, Indenter, rotation
-from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
-from gelgap.sim.relief import recesses_of
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 from gelgap.sim.steady import solve_steadily
 
@@ -99,13 +97,10 @@ class StaticNewton:
     """
 
     def __init__(self, problem: ContactProblem) -> None:
-        mesh = mesh_for(problem)
         self.problem = problem
-        self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
+        self.gel = gel = build_gel_model(problem)
         self.data = mujoco.MjData(gel.model)
-        self.contacts = FrictionalContacts(
-            gel, self.data, problem.indenter, problem.friction, problem.static_friction, recesses_of(problem)
-        )
+        self.contacts = FrictionalContacts(gel, self.data, problem)
         self.body: Indenter = problem.indenter
         self.command = np.zeros(6)
         self.active = np.zeros(gel.model.ngeom, dtype=bool)
@@ -191,7 +186,7 @@ class StaticNewton:
         tolerance = quality.travel_tolerance if is_travel else quality.press_tolerance
         furthest_mm = _EXTRAPOLATION_SHARE * self.problem.indenter.feature_size_mm
         if not self._rigid:
-            self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
+            self.gel.model.qpos_spring[self.gel.indenter_dof] = command[:3]
         self.contacts.begin_load_step(self.slip_mm)
         force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
         increment_mm, active = np.inf, self.active
@@ -275,7 +270,7 @@ class StaticNewton:
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         if self._rigid:
-            data.qpos[self.gel.indenter_qpos] = self.command[:3]
+            data.qpos[self.gel.indenter_dof] = self.command[:3]
         if turn is not None:
             self._turn(turn)
         self.iterations += 1
@@ -360,7 +355,7 @@ class StaticNewton:
         self.command, self.active = state.command, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped
         if not self._rigid:
-            self.gel.model.qpos_spring[self.gel.indenter_qpos] = self.command[:3]
+            self.gel.model.qpos_spring[self.gel.indenter_dof] = self.command[:3]
         self._turn(np.eye(3))
 
     @property
@@ -404,7 +399,7 @@ class StaticNewton:
         force = self.indenter_force_n * (2.0 if mesh.symmetric else 1.0)
         if mesh.symmetric:
             force[1] = 0.0
-        indenter_mm = np.array(self.data.qpos[gel.indenter_qpos])
+        indenter_mm = np.array(self.data.qpos[gel.indenter_dof])
         indenter_mm[2] += problem.indenter.origin_height_mm - self.body.origin_height_mm
         finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
         found = SolveDiagnostics(iterations=self.iterations)
@@ -412,7 +407,7 @@ class StaticNewton:
             friction = self.contacts.vertex_friction()
             origin_mm = indenter_mm + np.array([0.0, 0.0, self.body.origin_height_mm])
             found = replace(
-                audit_contact(mesh, vertices_mm, gel.moduli, friction, self.body, origin_mm),
+                audit_contact(mesh, vertices_mm, problem.mesh_moduli, friction, self.body, origin_mm),
                 iterations=self.iterations,
                 sticking_fraction=self.contacts.sticking_fraction(),
                 slip_mm=float(self.slip_mm.max()),
