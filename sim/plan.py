@@ -205,10 +205,8 @@ def plan_visit(
 ) -> SolvePlan:
     """Find the one problem of poses that the indenter visits one after the other at one point, as one trajectory.
 
-    Raises
-    ------
-    ValueError
-        If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
+    ValueError if the poses do not share their point, lie off the pad or deeper than it allows, or there is no such
+    quality.
     """
     scene = Scene(elastomer, indenter, quality, sharing or Sharing())
     return _plan(scene, tuple(replace(pose, trajectory=0) for pose in poses))
