@@ -251,8 +251,8 @@ class CanonicalFrame:
 
     def points_mm(self, x_mm: Floats, y_mm: Floats, pose: Pose) -> Floats:
         """Return the points (ny, nx, 2) of a grid on the sensor, from a pose's contact point and in this frame."""
-        from_point_mm = np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm)
-        return np.stack(from_point_mm, axis=-1) @ self.to_sensor
+        from_point_mm = np.stack(np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm), axis=-1)
+        return (from_point_mm.reshape(-1, 2) @ self.to_sensor).reshape(from_point_mm.shape)
 
     def command(self, pose: Pose) -> tuple[float, ...]:
         """Return how far the indenter goes (x, y, z), mm, and turns (x, y, z), degrees, in this frame."""
