@@ -272,8 +272,8 @@ class PoseLibrary:
     """Equilibria at some depths and travels, for a modulus of 1 MPa; any pose in its ranges follows by interpolation.
 
     Arrays begin with (depths, travels). `displacement_mm` and `pressure_mpa` hold polar tables around the contact
-    point; `numbers` values or vectors by name. `held_out` has a row for each pose that
-    was held out, None if none was; `solves` counts all that were needed.
+    point; `numbers` values or vectors by name. `held_out` has a row for each pose that was held out, None if none was;
+    `solves` counts all that were needed.
     """
 
     __repr__ = one_line
