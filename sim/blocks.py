@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Floats
+from gelgap.sim.indenter import Floats, Ints
 
-Ints = NDArray[np.int64]
 # Corners of each plane cell, counterclockwise.
 Cells = Sequence[Ints]
 # Numbers of the lines between which a block lies: x first, y first, x last, y last.

@@ -9,13 +9,12 @@ from scipy import linalg, optimize, sparse
 from scipy.spatial import Delaunay
 
 from gelgap.sim.fronts import Condensation, Group
-from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.indenter import Floats, Indenter, Ints
 from gelgap.sim.membrane import shares_mm2
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
-from gelgap.sim.relief import Recesses
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.relief import recesses_of
 from gelgap.sim.solution import sticks
-
-Ints = NDArray[np.int64]
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
 _FRICTIONLESS = 1e-5
@@ -47,40 +46,32 @@ class FrictionalContacts:
     average half way: its slip counts from half way between its position at the start of the step and the one that it
     reached without friction. Other nodes slide freely.
 
-    The coefficient falls, with the slip since a node touched, from `static_friction` (None: as low) to `friction`.
-    Where a body has `recesses` that its mesh bridges, nodes sink into it as the gel fills them.
+    The coefficient falls, with the slip since a node touched, from the static to the kinetic one. Where a body has
+    recesses that its mesh bridges, nodes sink into it as the gel fills them.
     """
 
-    def __init__(
-        self,
-        gel: GelModel,
-        data: Any,
-        indenter: Indenter,
-        friction: float,
-        static_friction: float | None = None,
-        recesses: Recesses | None = None,
-    ) -> None:
-        self._gel = gel
-        self._data = data
-        self._indenter = indenter
-        self._friction = float(friction)
-        self._static_excess = 0.0 if static_friction is None else static_friction - friction
+    def __init__(self, gel: GelModel, data: Any, problem: ContactProblem) -> None:
+        self._gel, self._data, self._indenter = gel, data, problem.indenter
+        self._friction, static = float(problem.friction), problem.static_friction
+        self._static_excess = 0.0 if static is None else static - self._friction
+        # A contact's frame leads from the indenter to the node, or back: MuJoCo orders its two geoms by their types.
+        is_sphere = gel.model.geom_type[gel.indenter_geom] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+        self._sign = 1.0 if is_sphere else -1.0
         # Each geom's coefficient, and how far it had slid before this load step.
         self._friction_of = np.full(gel.model.ngeom, self._friction)
         self._slid_mm = np.zeros(gel.model.ngeom)
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
         self._held = self._landed = np.zeros(0, dtype=bool)
-        self._recesses = recesses
-        if recesses is not None:
+        self._recesses = recesses_of(problem)
+        if self._recesses is not None:
             surface, rest_mm = gel.mesh.surface, gel.mesh.vertices_mm
             self._area_mm2 = shares_mm2(rest_mm, surface[Delaunay(rest_mm[surface, :2]).simplices])
 
     @property
     def nodes(self) -> Ints:
-        """Each contact's node."""
-        geoms = self._data.contact.geom
-        return np.where(geoms[:, 0] == self._gel.indenter_geom, geoms[:, 1], geoms[:, 0])
+        """Each contact's node; the indenter's geom comes before those of nodes."""
+        return self._data.contact.geom.max(axis=1)
 
     @property
     def forces_n(self) -> Floats:
@@ -99,10 +90,10 @@ class FrictionalContacts:
 
     def place(self) -> None:
         """Give each contact that MuJoCo found the gap and normal of the indenter's own surface."""
-        data, sign = self._data, self._sign()
+        data = self._data
         places_mm = self._places_mm()[self.nodes]
         nearest = self._indenter.project(places_mm)
-        normal = nearest.outward_normal * sign
+        normal = nearest.outward_normal * self._sign
         # The first tangent is as MuJoCo chooses it.
         other = np.where(np.abs(normal[:, 1:2]) < _NOT_ALONG_Y, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
         first = other - (other * normal).sum(axis=1, keepdims=True) * normal
@@ -143,7 +134,7 @@ class FrictionalContacts:
     def carried_mm(self, turn: Floats) -> Floats:
         """Return how far a turn (3, 3) of the indenter carries its surface along normal and tangents, (contacts, 3)."""
         place_mm, frames = self._places_mm()[self.nodes], self._data.contact.frame.reshape(-1, 3, 3)
-        return np.einsum("nij,nj->ni", frames, place_mm @ turn.T - place_mm) * self._sign()
+        return np.einsum("nij,nj->ni", frames, place_mm @ turn.T - place_mm) * self._sign
 
     def impose_friction(self, active: NDArray[np.bool_], turn: Floats | None = None) -> None:
         """Write into MuJoCo's contacts what makes its friction act as Coulomb's law of the load step.
@@ -161,7 +152,7 @@ class FrictionalContacts:
         self._held |= self._landed
         held = self._held[nodes]
         tangents = data.contact.frame.reshape(-1, 3, 3)[:, 1:]
-        slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes]) * self._sign()
+        slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes]) * self._sign
         slip_mm[~held] = 0.0
         data.contact.surfacevel[:, :2] = slip_mm
         if turn is not None:
@@ -202,7 +193,7 @@ class FrictionalContacts:
         moved = data.qvel[gel.dofs(nodes)].reshape(-1, 3) - data.qvel[gel.indenter_dof]
         normal = self._indenter.project(self._places_mm()[nodes] + moved).outward_normal
         frames = data.contact.frame.reshape(-1, 3, 3)
-        force = (np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign())[loaded]
+        force = (np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign)[loaded]
         normal_force = np.einsum("ni,ni->n", force, normal)
         tangential_force = np.linalg.norm(force - normal_force[:, None] * normal, axis=1)
         return float((tangential_force / (self._friction_of[nodes] * normal_force)).max()) - 1
@@ -223,7 +214,7 @@ class FrictionalContacts:
         normal = np.zeros(len(whole))
         normal[vertices] = self.normal_force_n
         frames = self._data.contact.frame.reshape(-1, 3, 3)
-        whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()
+        whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign
         return normal, whole
 
     def vertex_friction(self) -> Floats:
@@ -231,13 +222,6 @@ class FrictionalContacts:
         friction = np.full(len(self._gel.mesh.vertices_mm), self._friction)
         friction[self._gel.vertex_of_geom[self.nodes]] = self._friction_of[self.nodes]
         return friction
-
-    def _sign(self) -> Floats:
-        """Return 1 where a contact's frame leads from the indenter to the node, −1 where it leads back, (contacts, 1).
-
-        MuJoCo orders the two geoms of a contact by their types.
-        """
-        return np.where(self._data.contact.geom[:, :1] == self._gel.indenter_geom, 1.0, -1.0)
 
     def _places_mm(self) -> Floats:
         """Return where all geoms lie, from the indenter's origin, (geoms, 3)."""
@@ -269,13 +253,7 @@ class ContactNewton:
         self._condensation = Condensation(stiffness, first_dof, groups)
 
     def factorise(self) -> None:
-        """Factorise A of the present state.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If A is not positive definite.
-        """
+        """Factorise A of the present state; LinAlgError if it is not positive definite."""
         data = self._data
         diagonal = data.M[self._diagonal_of_mass] + data.efm_diag
         self._lower = self._condensation.factorise(data.efm_K_val, diagonal)
@@ -285,12 +263,8 @@ class ContactNewton:
     def acceleration(self) -> Floats:
         """Return the acceleration a (nv,) that solves the problem; the data's contact forces become those of it.
 
-        A is the one that was factorised last, all else is the present state's.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If A is not positive definite, or not finite.
+        A is the one that was factorised last, all else is the present state's. LinAlgError if A is not positive
+        definite, or not finite.
         """
         data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
         force = data.qfrc_smooth + data.efm_c
@@ -362,7 +336,6 @@ class ContactNewton:
 
         From there half as many increments are left as from rest.
         """
-        # The indenter's geom comes before those of nodes.
         last = self._relative[self._data.contact.geom.max(axis=1)].ravel()
         given = -np.array(self._data.efc_aref)
         contact_force = self._contact_force(last, stiffness=True).reshape(-1, 3)

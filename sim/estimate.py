@@ -19,7 +19,6 @@ from gelgap.sim.rim import sticking_share
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
-ERRORS = ("Fz", "shear", "radius", "membrane")
 # A contact of fewer cells is not resolved at all.
 _FEWEST_CELLS = 0.25
 # A mesh that is drawn out along a path differs before and behind the contact, and pushes it sideways even without
@@ -34,9 +33,9 @@ _TWIST_OFF_BY_CELLS = 3 / math.sqrt(12)
 # What is left of it, times the square of a cell over the contact's radius, once `twist_factor` has corrected it; and
 # what the references themselves may be off.
 _CORRECTED_TWIST_OFF, _TWIST_REFERENCE_OFF = 0.4, 0.03
-# The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py` of
-# commit 032934a, the last that has it): Fz and radius are of presses among scenes 72 to 249 beside the axisymmetric
-# solver, shear and membrane of 300 to 341.
+# The variance of Fz, shear, contact radius and membrane, as a share, over the square of each cause (commit 032934a is
+# the last that has `scripts/calibrate_estimate.py`): Fz and radius are of presses among scenes 72 to 249 beside the
+# axisymmetric solver, shear and membrane of 300 to 341.
 # The scenes resolve their contacts: what few cells do to Fz is from the tables' shallowest presses, which share a mesh.
 _VARIANCE_PER_CAUSE = (
     (0.000393, 0.00134, 0.0284, 0.0, 0.0972),

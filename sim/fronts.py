@@ -15,11 +15,9 @@ from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gelgap.sim.indenter import Floats, Ints
 from gelgap.sim.mesh import mesh_for, touchable
 from gelgap.sim.problem import ContactProblem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A subtree with at most this many vertices becomes one group: many small ones cost more than the zeros of a large one.
 _SMALLEST_GROUP = 16
@@ -45,16 +43,8 @@ _ONE, _MINUS_ONE, _ZERO, _STEP = np.array([1.0]), np.array([-1.0]), np.array([0.
 class Condensation:
     """Condenses A x = b, symmetric and positive definite with three dofs per vertex, onto the kept vertices.
 
-    A is a sparse matrix whose values change while its pattern does not, plus a diagonal.
-
-    Parameters
-    ----------
-    pattern
-        The sparse matrix (n, n), of any values, with both of its triangles.
-    first_dof
-        The first dof of each vertex (v,) in the order of elimination.
-    groups
-        In which the vertices are eliminated; the last one's are kept.
+    A is a sparse matrix (n, n) whose values change while its `pattern`, with both triangles, does not, plus a diagonal.
+    Vertices, by their first dofs (v,) in the order of elimination, are eliminated in `groups`; the last one's are kept.
     """
 
     def __init__(self, pattern: sparse.csr_array, first_dof: Ints, groups: "list[Group]") -> None:
@@ -73,12 +63,7 @@ class Condensation:
         """Factorise A and return the lower triangle of the condensed matrix (k, k), with zeros above.
 
         `values` are the sparse matrix's in its own order, `diagonal` (n,) is added. The factor stays for any number of
-        right sides.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is not positive definite.
+        right sides. LinAlgError if the matrix is not positive definite.
         """
         if not _eliminate(self._plan, values, diagonal, self._factor, self._updates, _ELIMINATION):
             raise np.linalg.LinAlgError("the matrix is not positive definite")
@@ -126,12 +111,8 @@ class _Branch:
 def elimination_groups(problem: ContactProblem) -> list[Group]:
     """Return the groups in which a problem's mesh is eliminated; its vertices are numbered in reverse order of that."""
     mesh = mesh_for(problem)
-    moving = len(mesh.vertices_mm) - len(mesh.bottom)
-    corners = mesh.tetrahedra
-    order = moving - 1 - np.stack([np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()])
-    order = order[:, (order >= 0).all(axis=0)]
-    graph = sparse.coo_array((np.ones(order.shape[1], bool), order), shape=(moving, moving)).tocsr()
-    return assembly_tree(graph, len(touchable(mesh, problem)))
+    order = np.arange(len(mesh.vertices_mm) - len(mesh.bottom))[::-1]
+    return assembly_tree(mesh.neighbours[order][:, order], len(touchable(mesh, problem)))
 
 
 def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
@@ -291,7 +272,7 @@ def _eliminate(
     """
     dpotrf, dtrsm, dsyrk = routines
     right, lower, transposed, plain = _RIGHT.ctypes, _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes
-    one, minus_one, zero = _ONE.ctypes, _MINUS_ONE.ctypes, _ZERO.ctypes
+    one, minus_one = _ONE.ctypes, _MINUS_ONE.ctypes
     sizes = np.zeros(3, np.int32)
     c, r, failed = sizes[:1].ctypes, sizes[1:2].ctypes, sizes[2:].ctypes
     for front in range(len(plan.own)):
@@ -303,21 +284,25 @@ def _eliminate(
         own, below = memory[: size * size].reshape(size, size), memory[size * size :].reshape(size, rows)
         for k in range(size):
             own[k, k] += diagonal[plan.own_dofs[plan.first_own[front] + k]]
-        children = plan.children[plan.first_child[front] : plan.first_child[front + 1]]
-        for child in children:
+        update, _ = _update(plan, updates, front)
+        update[:] = 0
+        for child in plan.children[plan.first_child[front] : plan.first_child[front + 1]]:
             added, places = _update(plan, updates, child)
-            inner = 0
-            while inner < len(places) and places[inner] < behind:
-                inner += 1
-            for column in range(inner):
-                from_column, to_own, to_below = added[column], own[places[column]], below[places[column]]
+            inner = np.searchsorted(places, behind)
+            for column in range(len(places)):
+                from_column = added[column]
+                if column >= inner:
+                    to_update = update[places[column] - behind]
+                    for row in range(column, len(places)):
+                        to_update[places[row] - behind] += from_column[row]
+                    continue
+                to_own, to_below = own[places[column]], below[places[column]]
                 for row in range(column, inner):
                     to_own[places[row]] += from_column[row]
                 for row in range(inner, len(places)):
                     to_below[places[row] - behind] += from_column[row]
         if front == len(plan.own) - 1:
             break
-        update, _ = _update(plan, updates, front)
         sizes[0], sizes[1] = size, rows
         dpotrf(lower, c, own.ctypes, c, failed)
         if sizes[2] != 0:
@@ -325,14 +310,7 @@ def _eliminate(
         if rows == 0:
             continue
         dtrsm(right, lower, transposed, plain, r, c, one, own.ctypes, c, below.ctypes, r)
-        dsyrk(lower, plain, r, c, minus_one, below.ctypes, r, zero, update.ctypes, r)
-        for child in children:
-            added, places = _update(plan, updates, child)
-            for column in range(len(places)):
-                if places[column] >= behind:
-                    from_column, to_column = added[column], update[places[column] - behind]
-                    for row in range(column, len(places)):
-                        to_column[places[row] - behind] += from_column[row]
+        dsyrk(lower, plain, r, c, minus_one, below.ctypes, r, one, update.ctypes, r)
     return True
 
 

@@ -90,7 +90,7 @@ def sizes_along(
     if problem.indenter.convex:
         return sizes
     # Cells along a body of many features are as fine as their number allows, which is less across a long one.
-    low, high = np.reshape(problem.cut_mm, (2, 2))[axis] + swept_mm
+    low, high = problem.cut_mm[axis] + swept_mm
     most = problem.most_cells_along * math.sqrt(min(1.0, (high - low) / (2 * max(problem.half_cut_mm))))
     largest_mm = max(problem.cell_mm, (high - low) / most)
     finest_mm = np.geomspace(sizes.size_mm.min(), largest_mm, _FINEST_TRIED)

@@ -13,6 +13,7 @@ from pydantic import Field
 from gelgap.assets.settings import Settings, within
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 class Symmetry(Flag):
@@ -92,14 +93,14 @@ class Indenter(Settings, ABC):
     def project(self, points_mm: Floats) -> Projection:
         """Project points (…, 3) onto the surface."""
 
-    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
-        """Return (x min, x max, y min, y max) of where the body, at a depth, cuts the undeformed membrane."""
+    def cut_mm(self, depth_mm: float) -> Floats:
+        """Return x and y, from and to (2, 2), of where the body, at a depth, cuts the undeformed membrane."""
         radius_mm = self.penetration_radius_mm(depth_mm)
-        return -radius_mm, radius_mm, -radius_mm, radius_mm
+        return np.array([[-radius_mm, radius_mm], [-radius_mm, radius_mm]])
 
     def contact_radius_mm(self, depth_mm: float) -> float:
         """Return the radius of the widest disc in what the body, at a depth, cuts of the membrane; about, if convex."""
-        return float(np.ptp(np.reshape(self.cut_mm(depth_mm), (2, 2)), axis=1).min()) / 2
+        return float(np.ptp(self.cut_mm(depth_mm), axis=1).min()) / 2
 
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Return where along x or y (axis 0, 1) the surface that a press reaches is more curved than a sphere's.

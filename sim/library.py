@@ -11,11 +11,10 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,16 +25,16 @@ from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     MembraneState,
+    PolarTable,
     covered_extent_mm,
     grid_axes,
     is_folded,
     press_onto,
-    table_radius_mm,
 )
 from gelgap.sim.path import PosePath
 from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
 from gelgap.sim.relief import unbridged
-from gelgap.sim.scene import Elastomer, Pose, is_interior
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, is_interior, plane_rotation
 from gelgap.sim.solution import Solution, has_solution
 
 if TYPE_CHECKING:
@@ -157,13 +156,8 @@ class LibraryPlan:
 
     def place_of(self, depth_mm: float, travel_mm: float) -> float:
         """Return where a travel lies among those solved at its depth: 0 for the first, 1 for the next."""
-        slides_mm, farthest_mm = self._turn_mm(depth_mm)
-        if travel_mm == 0 or farthest_mm == 0:
-            return 0.0
-        if travel_mm <= slides_mm:
-            return _STICKING_TRAVELS * travel_mm / slides_mm
-        beyond = (travel_mm - slides_mm) / (farthest_mm - slides_mm)
-        return _STICKING_TRAVELS + _SLIDING_TRAVELS * min(beyond, 1.0)
+        solved = self.travels_mm(depth_mm)
+        return float(np.interp(travel_mm, solved, np.arange(len(solved))))
 
     def _turn_mm(self, depth_mm: float) -> tuple[float, float]:
         """Return a travel from which the contact slides, less where that is beyond the ranges, and the farthest."""
@@ -262,13 +256,15 @@ class LibraryPose(MembraneState):
         """The normal pressure on the rest grid, (ny, nx)."""
         if self.neighbours is None:
             return np.zeros(self.contact.shape, np.float32)
-        field = self.neighbours.field(self.neighbours.library.pressure_mpa, (self.x_mm, self.y_mm))
-        return np.float32(self.modulus_mpa) * field[..., 0].clip(min=0.0)
+        table = self.neighbours.table(self.neighbours.library.pressure_mpa)
+        per_mpa = table.at(self.neighbours.points_mm((self.x_mm, self.y_mm)))[..., 0]
+        return (self.modulus_mpa * per_mpa.clip(min=0.0)).astype(np.float32)
 
     @property
     def indenter_mm(self) -> Floats:
         """How far the indenter (3,) has come from touching the gel."""
-        return np.zeros(3) if self.neighbours is None else self.neighbours.indenter_mm
+        near = self.neighbours
+        return np.zeros(3) if near is None else near.frame.on_sensor(near.indenter_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,15 +272,14 @@ class PoseLibrary:
     """Equilibria at some depths and travels, for a modulus of 1 MPa; any pose in its ranges follows by interpolation.
 
     Arrays begin with (depths, travels). `displacement_mm` and `pressure_mpa` hold polar tables around the contact
-    point, whose rows lie at `radius_mm`; `numbers` values or vectors by name. `held_out` has a row for each pose that
-    was held out, None if none was; `solves` counts all that were needed.
+    point; `numbers` values or vectors by name. `held_out` has a row for each pose that was held out, None if none was;
+    `solves` counts all that were needed.
     """
 
     __repr__ = one_line
 
     plan: LibraryPlan
     depths_mm: Floats
-    radius_mm: Floats
     displacement_mm: NDArray[np.float32]
     pressure_mpa: NDArray[np.float32]
     numbers: dict[str, np.ndarray]
@@ -315,7 +310,7 @@ class PoseLibrary:
             depth = depths_mm.reshape(-1, *(1,) * (stacked[name].ndim - 1))
             numbers[name] = stacked[name] / depth**power
         tables = stacked["displacement_mm"], stacked["pressure_mpa"]
-        return cls(plan, depths_mm, table_radius_mm(np.arange(rows, dtype=float)), *tables, numbers)
+        return cls(plan, depths_mm, *tables, numbers)
 
     def state(
         self,
@@ -347,14 +342,14 @@ class PoseLibrary:
         if pose.depth_mm == 0:
             return LibraryPose.untouched(*axes_mm)
         near = _Neighbours(self, pose)
-        displacement_mm = near.field(self.displacement_mm, axes_mm)
-        x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
-        from_point_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
+        rest_mm = near.points_mm(axes_mm)
+        displacement_mm = near.table(self.displacement_mm).at(rest_mm)
         origin_mm = near.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-        contact = press_onto(indenter, from_point_mm, displacement_mm, origin_mm)
+        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
+        displacement_mm = near.frame.on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(*axes_mm, displacement_mm)
         modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
-        force_n = modulus * near.vector("force_n")
+        force_n = modulus * near.frame.on_sensor(near.value("force_n"))
         # Estimates of the mesh's errors with those that were measured, unless none was held out.
         off_n, off_mm = 0.0, 0.0
         if self.held_out is not None:
@@ -365,7 +360,7 @@ class PoseLibrary:
             displacement_mm,
             contact,
             force_n=force_n,
-            torque_n_mm=modulus * near.vector("torque_n_mm"),
+            torque_n_mm=modulus * near.frame.on_sensor(near.value("torque_n_mm")),
             contact_radius_mm=float(near.value("contact_radius_mm")),
             converged=bool(near.flags("converged").all()) and not folded,
             diagnostics=Diagnostics(
@@ -379,6 +374,11 @@ class PoseLibrary:
             neighbours=near,
             modulus_mpa=modulus,
         )
+
+    @cached_property
+    def roots(self) -> tuple[float, ...]:
+        """The roots of the depths, and of 0, between which poses are interpolated."""
+        return (0.0, *np.sqrt(self.depths_mm).tolist())
 
     def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
         """Return the membrane of a pose on the grid of `grid_axes`.
@@ -456,98 +456,48 @@ class _Neighbours:
 
     def __init__(self, library: PoseLibrary, pose: Pose) -> None:
         self.library, self._pose = library, pose
-        depths = np.concatenate([[0.0], np.sqrt(library.depths_mm)])
-        above, self._by_depth = _weights(depths, math.sqrt(pose.depth_mm))
-        self._touching, self._depths = above > 0, np.maximum(above - 1, 0)
-        places = np.arange(library.displacement_mm.shape[1], dtype=float)
+        self.frame = CanonicalFrame(None, plane_rotation(math.atan2(pose.shear_y_mm, pose.shear_x_mm)))
+        depths, by_depth = _weights(library.roots, math.sqrt(pose.depth_mm))
         place = library.plan.place_of(pose.depth_mm, pose.radius_mm)
-        self._travels, self._by_travel = _weights(places, place)
-        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
-        self._cosine, self._sine = math.cos(angle), math.sin(angle)
+        travels, by_travel = _weights(tuple(range(library.displacement_mm.shape[1])), place)
+        self._at, self._weights = np.ix_(np.maximum(depths - 1, 0), travels), np.outer(by_depth, by_travel)
+        self._of_tables = (self._weights * (depths > 0)[:, None]).astype(np.float32)
 
-    def field(self, tables: NDArray[np.float32], axes_mm: tuple[Floats, Floats]) -> NDArray[np.float32]:
-        """Return what tables (depths, travels, …) say on a grid, (ny, nx, channels)."""
-        weights = np.outer(self._by_depth[self._touching], self._by_travel)
-        table = np.zeros(tables.shape[2:], np.float32)
-        for i, depth in enumerate(self._depths[self._touching]):
-            for j, travel in enumerate(self._travels):
-                if abs(weights[i, j]) > 1e-9:
-                    table += np.float32(weights[i, j]) * tables[depth, travel]
-        x_mm, y_mm = axes_mm[0] - self._pose.point_x_mm, axes_mm[1] - self._pose.point_y_mm
-        found = np.empty((len(y_mm), len(x_mm), table.shape[-1]), np.float32)
-        _place(table, self.library.radius_mm, x_mm, y_mm, self._cosine, self._sine, found)
-        return found
+    def points_mm(self, axes_mm: tuple[Floats, Floats]) -> Floats:
+        """Return a grid's points (ny, nx, 2) in the frame of the drag."""
+        return self.frame.points_mm(*axes_mm, self._pose)
+
+    def table(self, tables: NDArray[np.float32]) -> PolarTable:
+        """Return what tables (depths, travels, …) say of the pose."""
+        return PolarTable(np.tensordot(self._of_tables, tables[self._at], 2), symmetric=True)
 
     def value(self, name: str) -> Any:
-        """Return a number of `_GROWTH`, in the axes of a drag along x."""
-        values = self.library.numbers[name][np.ix_(self._depths, self._travels)]
-        weights = np.outer(self._by_depth, self._by_travel)
-        return self._pose.depth_mm ** _GROWTH[name] * np.tensordot(weights, values, 2)
-
-    def vector(self, name: str) -> Floats:
-        """Return such a vector (3,) in the sensor's axes."""
-        turn = [[self._cosine, -self._sine, 0], [self._sine, self._cosine, 0], [0, 0, 1]]
-        return np.array(turn) @ self.value(name)
+        """Return a number of `_GROWTH`, or a vector (3,) in the frame of the drag."""
+        values = self.library.numbers[name][self._at]
+        return self._pose.depth_mm ** _GROWTH[name] * np.tensordot(self._weights, values, 2)
 
     @property
     def indenter_mm(self) -> Floats:
-        """How far (3,) the indenter has come, in the sensor's axes."""
-        pose = self._pose
-        return np.array([pose.shear_x_mm, pose.shear_y_mm, -pose.depth_mm]) + self.vector("mount_mm")
+        """How far (3,) the indenter has come, in the frame of the drag."""
+        return self.value("mount_mm") + np.array([self._pose.radius_mm, 0.0, -self._pose.depth_mm])
 
     def flags(self, name: str) -> NDArray[np.bool_]:
-        """Return what is so of each of the equilibria that have weight."""
-        depths, travels = np.abs(self._by_depth) > 1e-9, np.abs(self._by_travel) > 1e-9
-        return self.library.numbers[name][np.ix_(self._depths[depths], self._travels[travels])]
+        """Return what is so of each of the equilibria."""
+        return self.library.numbers[name][self._at]
 
 
-def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
-    """Return the nodes that a value is interpolated from, and their weights: cubic Hermite, slopes from parabolas."""
-    last = len(nodes) - 1
-    k = int(np.clip(np.searchsorted(nodes, value) - 1, 0, max(last - 1, 0)))
-    if last == 0:
-        return np.zeros(1, np.intp), np.ones(1)
-    near = np.arange(max(k - 1, 0), min(k + 2, last) + 1)
-    step = nodes[k + 1] - nodes[k]
-    s = (value - nodes[k]) / step
-    weights = np.zeros(len(nodes))
-    weights[k] = (1 + 2 * s) * (1 - s) ** 2
-    weights[k + 1] = s**2 * (3 - 2 * s)
-    # By node the weights of its slope: of the parabola through it and its two neighbours.
-    slopes = np.gradient(np.eye(len(nodes)), nodes, axis=0, edge_order=2 if last > 1 else 1)
-    weights += step * s * (1 - s) ** 2 * slopes[k] + step * s**2 * (s - 1) * slopes[k + 1]
+def _weights(nodes: tuple[float, ...], value: float) -> tuple[NDArray[np.intp], Floats]:
+    """Return the nodes that a value is interpolated from, and their weights."""
+    weights = _spline(nodes)(value) if len(nodes) > 1 else np.ones(1)
+    near = np.flatnonzero(np.abs(weights) > 1e-9)
     return near, weights[near]
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
-    """Fill (ny, nx, channels) with a table around the origin, its axis turned; linear in radius and angle.
+@lru_cache(maxsize=64)
+def _spline(nodes: tuple[float, ...]) -> Callable[[float], Floats]:
+    """Return the weights of nodes: cubic Hermite, slopes from the parabola through a node and its two neighbours."""
+    from scipy.interpolate import CubicHermiteSpline
 
-    Three channels are a vector, which is turned as well.
-    """
-    rows, columns, channels = table.shape
-    fine = 1 / (radius_mm[1] - radius_mm[0])
-    for j in range(len(y_mm)):
-        for i in range(len(x_mm)):
-            along, across = cosine * x_mm[i] + sine * y_mm[j], cosine * y_mm[j] - sine * x_mm[i]
-            distance = min(math.sqrt(along * along + across * across), radius_mm[rows - 1] - 1e-6)
-            low = min(int(distance * fine), rows - 2)
-            if distance > radius_mm[low + 1] or distance < radius_mm[low]:  # beyond the evenly spaced rows
-                low = np.searchsorted(radius_mm, distance, side="right") - 1
-            out_share = (distance - radius_mm[low]) / (radius_mm[low + 1] - radius_mm[low])
-            place = abs(math.atan2(across, along)) / math.pi * (columns - 1)
-            left = min(int(place), columns - 2)
-            on_share = place - left
-            a, b = (1 - out_share) * (1 - on_share), (1 - out_share) * on_share
-            c, d = out_share * (1 - on_share), out_share * on_share
-            for k in range(channels):
-                out[j, i, k] = (
-                    a * table[low, left, k]
-                    + b * table[low, left + 1, k]
-                    + c * table[low + 1, left, k]
-                    + d * table[low + 1, left + 1, k]
-                )
-            if channels == 3:
-                u, v = out[j, i, 0], out[j, i, 1]
-                v = v if across > 0 else (-v if across < 0 else 0.0)
-                out[j, i, 0], out[j, i, 1] = cosine * u - sine * v, sine * u + cosine * v
+    own = np.eye(len(nodes))
+    slopes = np.gradient(own, nodes, axis=0, edge_order=2 if len(nodes) > 2 else 1)
+    return CubicHermiteSpline(nodes, own, slopes)

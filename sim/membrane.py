@@ -2,10 +2,11 @@
 
 import io
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,9 @@ from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 GRID_SPACING_MM = 0.1
 GRID_HALF_EXTENT_MM = (7.0, 5.5)
@@ -206,7 +205,7 @@ def press_onto(
     """
     depth_mm = max(min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm), 0.0)
     reach_mm = indenter.penetration_radius_mm(depth_mm) + _BULGE_MM
-    half_width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1).min() / 2
+    half_width_mm = np.ptp(indenter.cut_mm(depth_mm), axis=1).min() / 2
     gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
@@ -231,59 +230,42 @@ class PolarTable:
     values: NDArray[np.float32]
     symmetric: bool
 
-    def around(
-        self, pose: Pose, frame: CanonicalFrame, half_extent_mm: tuple[float, float]
-    ) -> tuple[Floats, Floats]:
-        """Return the grid of `grid_axes` from a pose's point (ny, nx, 2), and the field there, (ny, nx, channels).
-
-        Both in the contact's frame. It is interpolated linearly, and beyond the table its rim holds.
-        """
-        rows, columns, channels = self.values.shape
-        turn, point_mm = tuple(frame.to_sensor.ravel().tolist()), (pose.point_x_mm, pose.point_y_mm)
-        rest, weights, side = _places_around(half_extent_mm, point_mm, turn, (rows, columns), self.symmetric)
-        field = weights @ self.values.reshape(-1, channels).astype(float)
-        field = field.reshape(*side.shape, channels)
-        if self.symmetric and channels == 3:
-            field[..., 1] *= side
-        return rest, field
+    def at(self, points_mm: Floats) -> Floats:
+        """Return the field (…, channels) at points (…, 2) by linear interpolation; beyond the table its rim holds."""
+        places_mm = points_mm.reshape(-1, 2)
+        row = np.minimum(_row(np.hypot(*places_mm.T)), len(self.values) - 1 - 1e-6)
+        found = _compiled()(self.values, self.symmetric, row, places_mm)
+        return found.reshape(*points_mm.shape[:-1], -1)
 
 
-def _rest_around(
-    half_extent_mm: tuple[float, float], point_mm: tuple[float, float], to_sensor: Floats
-) -> Floats:
-    """Return the grid of `grid_axes` from a point, in the contact's frame, (ny, nx, 2)."""
-    x_mm, y_mm = grid_axes(half_extent_mm)
-    return np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ to_sensor
+def _interpolate(table: Any, symmetric: bool, row: Floats, places_mm: Floats) -> Floats:
+    """Return what a table says (n, channels) in rows (n,), which need not be whole numbers, at places (n, 2)."""
+    columns, channels = table.shape[1:]
+    found = np.empty((len(row), channels))
+    whole = math.pi if symmetric else 2 * math.pi
+    for n in range(len(row)):
+        angle = math.atan2(places_mm[n, 1], places_mm[n, 0])
+        if angle < 0:
+            angle = -angle if symmetric else angle + whole
+        column = min(angle / whole * (columns - 1), columns - 1 - 1e-6)
+        i, j = int(row[n]), int(column)
+        outwards, onwards = row[n] - i, column - j
+        for k in range(channels):
+            inner = (1 - onwards) * table[i, j, k] + onwards * table[i, j + 1, k]
+            outer = (1 - onwards) * table[i + 1, j, k] + onwards * table[i + 1, j + 1, k]
+            found[n, k] = (1 - outwards) * inner + outwards * outer
+        if symmetric and channels == 3:
+            # A vector's component along y is mirrored as well.
+            found[n, 1] *= np.sign(places_mm[n, 1])
+    return found
 
 
-# Poses that follow one another often differ in depth alone.
-@lru_cache(maxsize=16)
-def _places_around(
-    half_extent_mm: tuple[float, float],
-    point_mm: tuple[float, float],
-    turn: tuple[float, ...],
-    shape: tuple[int, int],
-    symmetric: bool,
-) -> tuple[Floats, "csr_array", Floats]:
-    """Return the grid around a point (ny, nx, 2), the share of each entry of such a table at each, and y's sign."""
-    from scipy.sparse import csr_array
+@cache
+def _compiled() -> Callable[[Any, bool, Floats, Floats], Floats]:
+    """Compile the above where a table is read, and not in every program that imports states."""
+    import numba
 
-    rest = _rest_around(half_extent_mm, point_mm, np.reshape(turn, (2, 2)))
-    x_mm, y_mm = rest[..., 0], rest[..., 1]
-    rows, columns = shape
-    row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
-    angle = np.arctan2(y_mm, x_mm)
-    column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
-    column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
-    i, j = row.astype(np.int32), column.astype(np.int32)
-    outwards, onwards = row - i, column - j
-    corner = i * columns + j
-    entries = np.stack([corner, corner + 1, corner + columns, corner + columns + 1], -1)
-    inner, outer = (1 - outwards) * (1 - onwards), outwards * (1 - onwards)
-    shares = np.stack([inner, (1 - outwards) * onwards, outer, outwards * onwards], -1)
-    first = np.arange(0, entries.size + 1, 4, dtype=np.int32)
-    weights = csr_array((shares.ravel(), entries.ravel(), first), shape=(corner.size, rows * columns))
-    return rest, weights, np.sign(y_mm)
+    return numba.njit(cache=True, error_model="numpy", fastmath=True)(_interpolate)
 
 
 @dataclass(frozen=True)
@@ -320,7 +302,7 @@ def cells_between(solution: Solution, record: Record) -> Cells:
     reach_mm = np.abs(rest_mm).max(axis=0)
     return Cells(
         tuple(own.passed(-reach, reach) for own, reach in zip(sizes, reach_mm, strict=True)),
-        np.reshape(problem.cut_mm, (2, 2)) + way_mm,
+        problem.cut_mm + way_mm,
         _FADING_CELLS * float(min(own.size_mm.min() for own in sizes)),
     )
 
@@ -370,8 +352,6 @@ class MembraneCubic:
 
     def at(self, points_mm: Floats) -> Floats:
         """Return the displacement (…, 3) at points (…, 2)."""
-        from scipy.spatial import cKDTree
-
         points = self.within(points_mm)
         values = self._cubic(points)
         if self.cells is not None:
@@ -379,19 +359,7 @@ class MembraneCubic:
             near = share > 0
             in_cells = self._cubic_in_cells(self.cells.up_to(points[near]))
             values[near] += share[near, None] * (in_cells - values[near])
-        outside = np.isnan(values[..., 0])
-        values[outside] = self.displacement_mm[cKDTree(self.rest_mm).query(points[outside])[1]]
         return values
-
-    def around(
-        self, pose: Pose, frame: CanonicalFrame, half_extent_mm: tuple[float, float]
-    ) -> tuple[Floats, Floats]:
-        """Return the grid of `grid_axes` from a pose's point (ny, nx, 2), and the displacement there, as a table does.
-
-        Both in the contact's frame.
-        """
-        rest = _rest_around(half_extent_mm, (pose.point_x_mm, pose.point_y_mm), frame.to_sensor)
-        return rest, self.at(rest)
 
 
 def membrane_between(solution: Solution, record: Record) -> "MembraneCubic | PolarTable":
@@ -405,7 +373,7 @@ def membrane_between(solution: Solution, record: Record) -> "MembraneCubic | Pol
 def polar_table(solution: Solution, record: Record) -> PolarTable:
     """Recover the membrane between the vertices by a C¹ piecewise cubic and tabulate it."""
     rest, displacement, _ = solution.whole_surface(record)
-    values = MembraneCubic(rest, displacement).at(_polar_points(solution, rest))
+    values = MembraneCubic(rest, displacement).at(_polar_points(solution.problem, rest))
     return PolarTable(values.astype(np.float32), solution.problem.symmetric)
 
 
@@ -429,9 +397,9 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     triangulation = Delaunay(rest)
     position = np.concatenate([rest, np.zeros((len(rest), 1))], axis=1) + record.displacement_mm
     per_area = force_n / np.maximum(shares_mm2(position, triangulation.simplices), 1e-9)[:, None]
-    points = MembraneCubic(rest, per_area).within(_polar_points(solution, rest))
+    points = MembraneCubic(rest, per_area).within(_polar_points(solution.problem, rest))
     values = LinearNDInterpolator(triangulation, per_area)(points)
-    return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
+    return PolarTable(values.astype(np.float32), solution.problem.symmetric)
 
 
 def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
@@ -441,9 +409,8 @@ def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
     return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(places_mm)).astype(float)
 
 
-def _polar_points(solution: Solution, rest_mm: Floats) -> Floats:
-    """Return where a table samples the membrane, (n_r, n_angle, 2)."""
-    problem = solution.problem
+def _polar_points(problem: ContactProblem, rest_mm: Floats) -> Floats:
+    """Return where a table samples a membrane whose vertices (n, 2) are at rest there, (n_r, n_angle, 2)."""
     low, high = rest_mm.min(axis=0), rest_mm.max(axis=0)
     rim = float(np.hypot(*rest_mm.T).max())
     extent = rim if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))

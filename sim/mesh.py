@@ -17,12 +17,9 @@ from scipy.sparse.linalg import splu
 
 from gelgap.sim.blocks import Cells, Coarsening, split_blocks, split_cells
 from gelgap.sim.grading import Sizes, sizes_along
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenter import Floats, Ints, Sphere
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import PadEdges
-
-Points = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FINE_MARGIN = 1.15  # of the penetration radius
 # Gel further from the path than this does not matter, and is not meshed.
@@ -62,7 +59,7 @@ class GelMesh:
     `vertices_mm` is (n, 3), `tetrahedra` (m, 4). If `symmetric`, only y ≥ 0 is meshed and y = 0 is a plane of symmetry.
     """
 
-    vertices_mm: NDArray[np.float64]
+    vertices_mm: Floats
     tetrahedra: NDArray[np.int32]
     symmetric: bool
 
@@ -75,6 +72,13 @@ class GelMesh:
     def bottom(self) -> Ints:
         """Indices of the vertices that are bonded to the backing."""
         return np.flatnonzero(self.vertices_mm[:, 2] < self.vertices_mm[:, 2].min() + 1e-9)
+
+    @property
+    def neighbours(self) -> sparse.csr_array:
+        """Which vertices share a tetrahedron, (n, n), each with itself as well."""
+        count, corners = len(self.vertices_mm), self.tetrahedra
+        pairs = np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, 4).ravel()
+        return sparse.coo_array((np.ones(corners.size * 4, bool), pairs), shape=(count, count)).tocsr()
 
     @property
     def symmetry_plane(self) -> Ints:
@@ -118,7 +122,7 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
     size, thickness = problem.mesh_size, problem.thickness_mm
     last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
 
-    def layers_mm(finest_mm: float) -> Points:
+    def layers_mm(finest_mm: float) -> Floats:
         return layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
 
     if problem.is_round:
@@ -159,10 +163,10 @@ def _around_axis(problem: ContactProblem) -> tuple[DiscGrid, float]:
     return grid, finest
 
 
-def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Points], Coarsening]:
+def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Floats], Coarsening]:
     """Return lines along x and y between which cells lie, for any contact, and which of them become one."""
     thickness, points = problem.thickness_mm, problem.segments.reshape(-1, 6)
-    cut_mm = np.reshape(problem.cut_mm, (2, 2))
+    cut_mm = problem.cut_mm
     beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
     lines, box, finest = [], [], np.inf
     for axis in (0, 1):
@@ -182,7 +186,7 @@ def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Points], Coarsening
     return lines, Coarsening(np.array(box), _FINEST_BLOCK * finest, growth, _LARGEST_CELL * thickness)
 
 
-def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:
+def straightest_line(segments_mm: Floats) -> tuple[float, float, float, tuple[float, float]]:
     """Return the straight line through the origin that segments (n, 2, 2) keep nearest to.
 
     From where to where they go along it, how far they leave it, and its direction (2,).
@@ -195,14 +199,14 @@ def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[fl
     return float(low), float(high), float(aside), (float(direction[0]), float(direction[1]))
 
 
-def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
+def pad_mesh(grid: DiscGrid, layers_mm: Floats, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
     """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down, joined around the axis."""
     plane, cells = pad_cells(grid, pad_mm, symmetric=symmetric)
     groups = np.stack([_groups(grid, plane, cells, -top_mm) for top_mm in layers_mm[:-1]])
     return GelMesh(*split_cells(plane, cells, layers_mm, groups), symmetric)
 
 
-def _groups(grid: DiscGrid, plane: Points, cells: Cells, depth_mm: float) -> Ints:
+def _groups(grid: DiscGrid, plane: Floats, cells: Cells, depth_mm: float) -> Ints:
     """Return which plane cells (n,) are one at a depth: those that are nearer to the axis than a share of the depth.
 
     Along the line that the axis is drawn out to, columns become one by twos.
@@ -227,7 +231,7 @@ def _groups(grid: DiscGrid, plane: Points, cells: Cells, depth_mm: float) -> Int
     return groups
 
 
-def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tuple[Points, Cells]:
+def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tuple[Floats, Cells]:
     """Divide the part of the pad within a disc around the contact axis, or around the line it is drawn out to.
 
     `pad_mm` is (x min, x max, y min, y max), on whose edges the axis may lie, or None for a pad without edges. If the
@@ -252,7 +256,7 @@ def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tu
     return plane, cells
 
 
-def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_mm: float) -> Points:
+def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_mm: float) -> Floats:
     """Return the z of the layers from the membrane (0) down to the backing: they thicken from both towards the middle.
 
     What they are too thick together is taken from the thickest most.
@@ -267,7 +271,7 @@ def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_m
     return -np.concatenate([[0.0], np.cumsum(thick)])
 
 
-def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
+def half_disc(grid: DiscGrid) -> tuple[Floats, Ints]:
     """Return the vertices (n, 2) and quadrilaterals (m, 4) of the half y ≥ 0 of a disc.
 
     A core of 2k × k cells, bent from a square towards a circle, lies within rings of 4k cells, the grid's sectors.
@@ -309,7 +313,7 @@ def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
     return plane, np.concatenate(quads)
 
 
-def half_stadium(grid: DiscGrid) -> tuple[Points, Cells]:
+def half_stadium(grid: DiscGrid) -> tuple[Floats, Cells]:
     """Return the half y ≥ 0 of a disc cut at x = 0 and drawn out along x, with columns of cells in between.
 
     Far from the line, where cells are longer than wide, two columns become one: the cells there have a fifth corner.
@@ -350,7 +354,7 @@ def half_stadium(grid: DiscGrid) -> tuple[Points, Cells]:
 
 def _graded_positions_mm(
     length_mm: float, spacing_mm: float, fine_mm: float, growth: float, largest_mm: float = 2.5
-) -> Points:
+) -> Floats:
     """Return positions from 0 to a length: equally spaced up to `fine_mm`, each further spacing `growth` times larger.
 
     No spacing exceeds `largest_mm`, until all beyond `fine_mm` are stretched so that the last position is the length.
@@ -372,7 +376,7 @@ def _graded_positions_mm(
     return axis
 
 
-def _cut(plane: Points, cells: Cells, axis: int, sign: float, distance_mm: float) -> tuple[Points, Cells]:
+def _cut(plane: Floats, cells: Cells, axis: int, sign: float, distance_mm: float) -> tuple[Floats, Cells]:
     """Cut away what lies beyond the line sign · coordinate = distance.
 
     Vertices are first moved onto the line where it would cut off only a small share of an edge.
@@ -411,7 +415,7 @@ def _cut(plane: Points, cells: Cells, axis: int, sign: float, distance_mm: float
     return np.array(points)[used], [number[cell] for cell in kept]
 
 
-def _merged(plane: Points, cells: Cells) -> tuple[Points, Cells]:
+def _merged(plane: Floats, cells: Cells) -> tuple[Floats, Cells]:
     """Make one vertex of those that two edges have moved onto the same corner of the pad."""
     _, first, place = np.unique(plane.round(9), axis=0, return_index=True, return_inverse=True)
     number = np.cumsum(np.isin(np.arange(len(plane)), first)) - 1
@@ -453,21 +457,14 @@ def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:
     last vertex to the first, takes as long to update its factor for a contact as there are vertices that depend on the
     contact's. The rest follow in reverse order of elimination, the bonded ones at the end.
     """
-    vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
-    count = len(vertices)
-    pairs = sparse.coo_array(
-        (
-            np.ones(16 * len(tetrahedra)),
-            (np.repeat(tetrahedra, 4, axis=1).ravel(), np.tile(tetrahedra, 4).ravel()),
-        ),
-        shape=(count, count),
-    ).tocsr()
+    count = len(mesh.vertices_mm)
     moving = np.setdiff1d(np.arange(count), mesh.bottom)
-    elimination = elimination_order(pairs[moving][:, moving], np.flatnonzero(np.isin(moving, touchable)))
+    graph = mesh.neighbours[moving][:, moving]
+    elimination = elimination_order(graph, np.flatnonzero(np.isin(moving, touchable)))
     order = np.concatenate([moving[elimination[::-1]], mesh.bottom])
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)
-    return GelMesh(vertices[order], number[tetrahedra], mesh.symmetric)
+    return GelMesh(mesh.vertices_mm[order], number[mesh.tetrahedra], mesh.symmetric)
 
 
 def elimination_order(graph: sparse.csr_array, last: Ints) -> Ints:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.mesh import GelMesh, touchable
+from gelgap.sim.mesh import GelMesh, mesh_for, touchable
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Moduli
 
@@ -35,7 +35,7 @@ _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 
 @dataclass(frozen=True)
 class GelModel:
-    """A compiled model, what it is made of, and where its parts are.
+    """A compiled model, its mesh, and where its parts are; all joints are slides, whose places are numbered as dofs.
 
     A node is a vertex of the membrane that can touch the indenter; it has a geom in MuJoCo and is known by that geom's
     number. `vertex_dof` is each mesh vertex's first dof, −1 if bonded; `vertex_of_geom` −1 for other geoms.
@@ -43,11 +43,9 @@ class GelModel:
 
     model: Any
     mesh: GelMesh
-    moduli: Moduli
     vertex_dof: NDArray[np.int64]
     vertex_of_geom: NDArray[np.int64]
     indenter_dof: slice
-    indenter_qpos: slice
     indenter_geom: int
     indenter_body: int
 
@@ -56,10 +54,11 @@ class GelModel:
         return (self.vertex_dof[self.vertex_of_geom[nodes]][:, None] + np.arange(3)).ravel()
 
 
-def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> GelModel:
-    """Compile the model of a problem on its mesh, whose tetrahedra get `moduli`."""
+def build_gel_model(problem: ContactProblem) -> GelModel:
+    """Compile the model of a problem on its mesh."""
     # Warnings would go to a log file in the user's folder; `mjData.warning` counts them all the same.
     mujoco.set_mju_user_warning(lambda message: None)
+    mesh, moduli = mesh_for(problem), problem.mesh_moduli
     gel_mass_t = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
     spec = mujoco.MjSpec.from_string(_indenter_xml(problem, mesh.symmetric, gel_mass_t))
     nodes = touchable(mesh, problem)
@@ -71,7 +70,7 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     body = model.flex_vertbodyid
     moving = (body > 0) & (model.body_dofnum[body] == 3)
     vertex_dof = np.where(moving, model.body_dofadr[body], -1)
-    first_dof, first_qpos = model.joint("indenter_x").dofadr[0], model.joint("indenter_x").qposadr[0]
+    first_dof = model.joint("indenter_x").dofadr[0]
     if mesh.symmetric:
         on_plane = np.intersect1d(mesh.symmetry_plane, np.flatnonzero(moving))
         across = np.append(vertex_dof[on_plane], first_dof) + 1
@@ -88,11 +87,9 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     return GelModel(
         model=model,
         mesh=mesh,
-        moduli=moduli,
         vertex_dof=vertex_dof,
         vertex_of_geom=vertex_of_geom,
         indenter_dof=slice(first_dof, first_dof + 3),
-        indenter_qpos=slice(first_qpos, first_qpos + 3),
         indenter_geom=model.geom("indenter").id,
         indenter_body=model.body("indenter").id,
     )
@@ -159,9 +156,10 @@ def _indenter_xml(problem: ContactProblem, symmetric: bool, gel_mass_t: float) -
         f'<joint name="indenter_{name}" type="slide" axis="{axis}" {spring}/>'
         for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
     )
+    # MuJoCo only checks solutions: conjugate gradients factorise nothing where it refuses one.
     return f"""<mujoco>
-  <option timestep="1" gravity="0 0 0" integrator="discrete" solver="Newton" iterations="30" ls_iterations="50"
-          tolerance="0" cone="elliptic" jacobian="sparse"><flag refsafe="disable"/></option>
+  <option timestep="1" gravity="0 0 0" integrator="discrete" solver="CG" iterations="1" cone="elliptic"
+          jacobian="sparse"><flag refsafe="disable"/></option>
   <size memory="4G"/>
   <worldbody>
     <body name="indenter" pos="0 0 {problem.indenter.origin_height_mm:.12g}">{joints}

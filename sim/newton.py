@@ -13,10 +13,8 @@ from gelgap.sim.contact import ContactNewton, FrictionalContacts
 from gelgap.sim.cost import most_iterations
 from gelgap.sim.fronts import elimination_groups
 from gelgap.sim.indenter import Floats, Indenter, rotation
-from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
-from gelgap.sim.relief import recesses_of
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 from gelgap.sim.steady import solve_steadily
 
@@ -73,16 +71,11 @@ _REMEMBERED, _SMALLEST_SINGULAR_VALUE = 5, 1e-6
 _DRIFTED, _ALONG, _LEAP_SHARE = 3, 0.9, 0.5
 
 
-def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
-    """Solve the problem from the undeformed gel.
-
-    Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
-    """
+def solve(problem: ContactProblem, progress: SolveProgress = silent) -> Solution:
+    """Solve the problem from the undeformed gel."""
     # Several threads would wait for one another at hundreds of small matrices.
     with threadpool_limits(limits=1, user_api="blas"):
-        return solve_steadily(
-            problem, lambda own, told: StaticNewton(own, condensed=condensed).follow_waypoints(told), progress
-        )
+        return solve_steadily(problem, lambda own, told: StaticNewton(own).follow_waypoints(told), progress)
 
 
 @dataclass(frozen=True)
@@ -104,17 +97,14 @@ class State:
 class StaticNewton:
     """Gel and indenter of a problem on their way through load steps, from the undeformed and untouched gel on.
 
-    `iterations` counts those since the last waypoint. Unless it is `condensed`, MuJoCo does all of the linear algebra.
+    `iterations` counts those since the last waypoint. MuJoCo only checks solutions of the condensed problem.
     """
 
-    def __init__(self, problem: ContactProblem, *, condensed: bool = True) -> None:
-        mesh = mesh_for(problem)
+    def __init__(self, problem: ContactProblem) -> None:
         self.problem = problem
-        self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
+        self.gel = gel = build_gel_model(problem)
         self.data = mujoco.MjData(gel.model)
-        self.contacts = FrictionalContacts(
-            gel, self.data, problem.indenter, problem.friction, problem.static_friction, recesses_of(problem)
-        )
+        self.contacts = FrictionalContacts(gel, self.data, problem)
         self.body: Indenter = problem.indenter
         self.command = np.zeros(6)
         self.active = np.zeros(gel.model.ngeom, dtype=bool)
@@ -125,13 +115,9 @@ class StaticNewton:
         self._furthest_mm = _EXTRAPOLATION_SHARE * problem.indenter.feature_size_mm
         self._ran_away = False
         self._rigid = problem.mount_stiffness_n_per_mm is None
-        self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
         # Whether the last iteration was MuJoCo's with the present tangent.
         self._accepted = False
-        if condensed:
-            # MuJoCo only checks solutions: conjugate gradients factorise nothing where it refuses one.
-            gel.model.opt.solver, gel.model.opt.iterations = mujoco.mjtSolver.mjSOL_CG, 1
 
     def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
         """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state.
@@ -204,7 +190,7 @@ class StaticNewton:
         is_travel = displacement_mm[:2].any() or turn is not None
         tolerance = quality.travel_tolerance if is_travel else quality.press_tolerance
         if not self._rigid:
-            self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
+            self.gel.model.qpos_spring[self.gel.indenter_dof] = command[:3]
         self.contacts.begin_load_step(self.slip_mm)
         force, acceleration, converged = np.full(3, np.inf), AndersonAcceleration(), False
         increment_mm, active = np.inf, self.active
@@ -288,7 +274,7 @@ class StaticNewton:
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         if self._rigid:
-            data.qpos[self.gel.indenter_qpos] = self.command[:3]
+            data.qpos[self.gel.indenter_dof] = self.command[:3]
         if turn is not None:
             self._turn(turn)
         self.iterations += 1
@@ -315,10 +301,6 @@ class StaticNewton:
         """
         model, data = self.gel.model, self.data
         self._set_up_solver()
-        if not self._condensed:
-            model.opt.tolerance = 0
-            mujoco.mj_fwdConstraint(model, data)
-            return
         if self._contact_newton is None:
             self._contact_newton = ContactNewton(self.gel, data, elimination_groups(self.problem))
         try:
@@ -377,7 +359,7 @@ class StaticNewton:
         self.command, self.active = state.command, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped
         if not self._rigid:
-            self.gel.model.qpos_spring[self.gel.indenter_qpos] = self.command[:3]
+            self.gel.model.qpos_spring[self.gel.indenter_dof] = self.command[:3]
         self._turn(np.eye(3))
 
     @property
@@ -422,7 +404,7 @@ class StaticNewton:
         force = self.indenter_force_n * (2.0 if mesh.symmetric else 1.0)
         if mesh.symmetric:
             force[1] = 0.0
-        indenter_mm = np.array(self.data.qpos[gel.indenter_qpos])
+        indenter_mm = np.array(self.data.qpos[gel.indenter_dof])
         indenter_mm[2] += problem.indenter.origin_height_mm - self.body.origin_height_mm
         finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
         found = SolveDiagnostics(iterations=self.iterations)
@@ -430,7 +412,7 @@ class StaticNewton:
             friction = self.contacts.vertex_friction()
             origin_mm = indenter_mm + np.array([0.0, 0.0, self.body.origin_height_mm])
             found = replace(
-                audit_contact(mesh, vertices_mm, gel.moduli, friction, self.body, origin_mm),
+                audit_contact(mesh, vertices_mm, problem.mesh_moduli, friction, self.body, origin_mm),
                 iterations=self.iterations,
                 sticking_fraction=self.contacts.sticking_fraction(),
                 slip_mm=float(self.slip_mm.max()),

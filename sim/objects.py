@@ -41,12 +41,8 @@ def sum_surface(parts: Sequence[tuple[Indenter, Place]], **fields: Any) -> Surfa
     """Return bodies as one, each with its place (x, y, z): of its axis, and how high its lowest point is.
 
     It is pressed no deeper than the part that is first at its own limit. Fields are those of `Surface`; without
-    `edge_radius_mm` a ball of 0.2 mm, or of the sharpest part's radius, fills creases.
-
-    Raises
-    ------
-    ValueError
-        If the bodies are further apart than the largest surface is wide, or thinner than its rounding.
+    `edge_radius_mm` a ball of 0.2 mm, or of the sharpest part's radius, fills creases. ValueError if the bodies are
+    further apart than the largest surface is wide, or thinner than its rounding.
     """
     lowest_mm = min(z for _, (_, _, z) in parts)
     triangles_mm, deepest_mm = [], np.inf

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,23 +38,6 @@ _WIDEST_TO_NARROWEST = 2.7
 _WORTH_SAYING_S = 10.0
 
 
-class PoseSource(Protocol):
-    """What poses follow from: a solve, or a library of poses, which is made of several."""
-
-    @property
-    def key(self) -> str:
-        """A hash of all that the poses follow from."""
-
-    @property
-    def solves(self) -> "tuple[Solve, ...]":
-        """What has to be solved for it."""
-
-    def served_by(
-        self, solutions: Mapping[str, Solution], picture: Callable[[MembraneState], Floats] | None = None
-    ) -> Any:
-        """Return what the poses are made of, from the solutions of its solves by their keys."""
-
-
 @dataclass(frozen=True)
 class Solve:
     """One problem to solve, perhaps found in the cache."""
@@ -70,6 +53,7 @@ class Solve:
 
     @property
     def solves(self) -> "tuple[Solve, ...]":
+        """What has to be solved for it: itself, as a library of poses has several."""
         return (self,)
 
     def served_by(
@@ -221,10 +205,8 @@ def plan_visit(
 ) -> SolvePlan:
     """Find the one problem of poses that the indenter visits one after the other at one point, as one trajectory.
 
-    Raises
-    ------
-    ValueError
-        If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
+    ValueError if the poses do not share their point, lie off the pad or deeper than it allows, or there is no such
+    quality.
     """
     scene = Scene(elastomer, indenter, quality, sharing or Sharing())
     return _plan(scene, tuple(replace(pose, trajectory=0) for pose in poses))

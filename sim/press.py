@@ -99,13 +99,7 @@ def path_on_gel(
 
     One descent is solved and inverted by a monotone cubic; depths are not corrected one by one as those of
     `pose_for_force`, and travel sideways changes Fz a little, so that a frame's label, not its command, is its force.
-
-    Raises
-    ------
-    ValueError
-        If a force is larger than the deepest press gives.
-    RuntimeError
-        If the descent does not converge.
+    ValueError if a force is larger than the deepest press gives, RuntimeError if the descent does not converge.
     """
     most_n = path.forces_n[-1]
     named = f"force_n = {most_n:g} of path {path.in_newtons.name}"

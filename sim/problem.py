@@ -288,7 +288,7 @@ class ContactProblem:
 
     def cut_by(self, body: AnyIndenter, depth_mm: float) -> Floats:
         """Return x and y, from and to (2, 2), of where a body cuts the undeformed membrane: all of a narrower pad."""
-        cut_mm = np.reshape(body.cut_mm(depth_mm), (2, 2))
+        cut_mm = body.cut_mm(depth_mm)
         if self.pad_mm is None:
             return cut_mm
         pad_mm = np.reshape(self.pad_mm, (2, 2))
@@ -296,23 +296,21 @@ class ContactProblem:
         return np.where(is_wider, pad_mm, cut_mm)
 
     @property
-    def cut_mm(self) -> tuple[float, float, float, float]:
-        """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
+    def cut_mm(self) -> Floats:
+        """x and y, from and to (2, 2), of where the indenter, at its deepest, cuts the undeformed membrane."""
         cuts_mm = np.array([self.cut_by(body, depth_mm) for body, depth_mm in self.stands])
-        x_min, y_min = cuts_mm[..., 0].min(axis=0).tolist()
-        x_max, y_max = cuts_mm[..., 1].max(axis=0).tolist()
-        return x_min, x_max, y_min, y_max
+        return np.stack([cuts_mm[..., 0].min(axis=0), cuts_mm[..., 1].max(axis=0)], axis=1)
 
     @property
     def covers_pad(self) -> bool:
         """Whether the indenter, at its deepest, is wider than the pad along both sides."""
-        return self.pad_mm is not None and self.cut_mm == tuple(map(float, np.ravel(self.pad_mm)))
+        return self.pad_mm is not None and np.array_equal(self.cut_mm.ravel(), self.pad_mm)
 
     @property
     def half_cut_mm(self) -> tuple[float, float]:
         """Half of how far, along x and y, the indenter at its deepest cuts the undeformed membrane."""
-        x_min, x_max, y_min, y_max = self.cut_mm
-        return max((x_max - x_min) / 2, _SMALLEST_CONTACT_MM), max((y_max - y_min) / 2, _SMALLEST_CONTACT_MM)
+        half_x, half_y = np.maximum(np.ptp(self.cut_mm, axis=1) / 2, _SMALLEST_CONTACT_MM).tolist()
+        return half_x, half_y
 
     @property
     def meshed_radius_mm(self) -> float:

@@ -181,13 +181,16 @@ class Shape(Indenter):
         distance_mm = distance_mm.reshape(shape[:-1])
         return Projection(points_mm - distance_mm[..., None] * normal, normal, distance_mm)
 
-    def penetration_radius_mm(self, depth_mm: float) -> float:
-        return float(np.hypot(*_outline_mm(self, depth_mm).T).max())
+    def _rim_mm(self, depth_mm: float) -> Floats:
+        """Return points (n, 2) on the rim of where the body, at a depth, cuts the undeformed membrane."""
+        return _outline_mm(self, depth_mm)
 
-    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
-        outline = _outline_mm(self, depth_mm)
-        (x_min, y_min), (x_max, y_max) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
-        return x_min, x_max, y_min, y_max
+    def penetration_radius_mm(self, depth_mm: float) -> float:
+        return float(np.hypot(*self._rim_mm(depth_mm).T).max())
+
+    def cut_mm(self, depth_mm: float) -> Floats:
+        rim_mm = self._rim_mm(depth_mm)
+        return np.stack([rim_mm.min(axis=0), rim_mm.max(axis=0)], axis=1)
 
     def contact_radius_mm(self, depth_mm: float) -> float:
         outline = _outline_mm(self, depth_mm)
@@ -335,7 +338,7 @@ def _outline_mm(body: Shape, depth_mm: float) -> Floats:
 @lru_cache(maxsize=64)
 def _turns(body: Shape, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
     """Return places (n,) along an axis and by how much the underside's normal turns there per mm of its length."""
-    ends = np.reshape(body.cut_mm(depth_mm), (2, 2))
+    ends = body.cut_mm(depth_mm)
     reach_mm = np.ptp(ends[axis])
     below = np.zeros((_STEPS_ALONG_PROFILE, 3))
     below[:, :2] = ends.mean(axis=1)

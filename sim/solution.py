@@ -189,11 +189,15 @@ class CacheEntry:
 
 def load_solution(key: str) -> Solution | None:
     """Return the cached solution of that key, or None if there is none that can be read."""
+    solution = _read(_path(key))
+    return solution if solution is not None and solution.problem.key == key else None
+
+
+def _read(file: Path) -> Solution | None:
     try:
-        solution = solution_from_bytes(_path(key).read_bytes())
+        return solution_from_bytes(file.read_bytes())
     except OSError:
         return None
-    return solution if solution is not None and solution.problem.key == key else None
 
 
 def has_solution(key: str) -> bool:
@@ -220,10 +224,7 @@ def cache_entries() -> tuple[CacheEntry, ...]:
             about = file.stat()
         except FileNotFoundError:
             continue
-        try:
-            solution = solution_from_bytes(file.read_bytes())
-        except OSError:
-            solution = None
+        solution = _read(file)
         problem = None if solution is None else solution.problem
         current = problem is not None and problem.key == file.stem
         entries.append(CacheEntry(file.stem, about.st_size, time.time() - about.st_mtime, problem, current))

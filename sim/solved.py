@@ -25,7 +25,7 @@ from gelgap.sim.relief import recesses_of, with_fill
 from gelgap.sim.rim import contact_radius_mm, twist_factor
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
-from gelgap.sim.traction import Slip, Stand, Traction, balanced_traction, slip_between
+from gelgap.sim.traction import Slip, Traction, balanced_traction
 
 # Vertices beside a pressing edge share its load unevenly. The pressure that fills recesses is therefore averaged over
 # this many points of the grid, which is half a millimetre.
@@ -72,7 +72,8 @@ class SolvedPose(MembraneState):
     def slip(self) -> Slip:
         """Return how far the membrane has slid over the indenter since the press straight down.
 
-        That is the last pose on the indenter's way before it went sideways or turned.
+        That is the last pose on the indenter's way before it went sideways or turned. Where the membrane sticks, it
+        goes where the indenter's travel and turn carry it; slip is how far it is from there.
 
         Raises
         ------
@@ -84,7 +85,10 @@ class SolvedPose(MembraneState):
         then = after.state((first.x_mm[-1], first.y_mm[-1]))
         if then.contact.shape != first.contact.shape:
             first = before.state((then.x_mm[-1], then.y_mm[-1]))
-        return slip_between(first, before.stand(), then, after.stand())
+        turn = rotation(np.array(after.pose.turn_deg)) @ rotation(np.array(before.pose.turn_deg)).T
+        carried_mm = after.origin_mm + (first.places_mm - before.origin_mm) @ turn.T
+        touching = (first.contact & then.contact)[..., None]
+        return Slip(then.x_mm, then.y_mm, np.where(touching, then.places_mm - carried_mm, np.nan))
 
 
 @dataclass(frozen=True)
@@ -128,7 +132,8 @@ class ContactSolve:
             return SolvedPose.untouched(x_mm, y_mm, contact_solve=self)
         record, ratio = self.record, self.modulus_ratio
         between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
-        rest_mm, displacement_mm = between.around(self.pose, placement.frame, extent_mm)
+        rest_mm = placement.frame.points_mm(x_mm, y_mm, self.pose)
+        displacement_mm = between.at(rest_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
         found = diagnose(self.solution, placement.record, radius_mm, twist, ratio)
@@ -136,8 +141,7 @@ class ContactSolve:
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter
 
-            table = pressure_table(self.solution, record)
-            field_mpa = table.around(self.pose, placement.frame, extent_mm)[1][..., 0]
+            field_mpa = pressure_table(self.solution, record).at(rest_mm)[..., 0]
             smooth_mpa = uniform_filter(field_mpa * contact, _SHARED_POINTS)
             pressure_mpa = uniform_filter(smooth_mpa, _SHARED_POINTS)[contact]
             from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
@@ -162,15 +166,13 @@ class ContactSolve:
 
     def around(self, table: PolarTable, state: MembraneState) -> Floats:
         """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
-        extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-        return table.around(self.pose, self.placement.frame, extent_mm)[1]
+        return table.at(self.placement.frame.points_mm(state.x_mm, state.y_mm, self.pose))
 
-    def stand(self) -> Stand:
-        """Return where the indenter is, and how it is turned, on the sensor."""
-        pose = self.pose
-        height_mm = self.indenter.turned(pose.turn_deg).origin_height_mm
-        origin_mm = self.indenter_mm + np.array([pose.point_x_mm, pose.point_y_mm, height_mm])
-        return Stand(origin_mm, rotation(np.array(pose.turn_deg)))
+    @property
+    def origin_mm(self) -> Floats:
+        """Where the indenter's origin (3,) is on the sensor."""
+        height_mm = self.indenter.turned(self.pose.turn_deg).origin_height_mm
+        return self.indenter_mm + np.array([self.pose.point_x_mm, self.pose.point_y_mm, height_mm])
 
     def press(self) -> "ContactSolve":
         """Return the last pose on the indenter's way before it went sideways or turned."""

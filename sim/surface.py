@@ -203,7 +203,7 @@ class Surface(Shape):
     @property
     def mesh_mm(self) -> tuple[Floats, NDArray[np.int64]]:
         """Vertices (n, 3) and triangles (m, 3) of the underside, from the origin, turned as the body is."""
-        grid = _grid_mm(self.heights, self.columns, self.spacing_mm, self.step_mm)
+        grid = _grid_of(self.heights_mm, self.spacing_mm)
         index = np.arange(grid[..., 0].size).reshape(grid.shape[:2])
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
         triangles = np.concatenate([np.stack(some, -1).reshape(-1, 3) for some in ((a, d, b), (b, d, c))])
@@ -215,13 +215,8 @@ class Surface(Shape):
     def contact_radius_mm(self, depth_mm: float) -> float:
         return _cut(self, depth_mm).widest_mm
 
-    def penetration_radius_mm(self, depth_mm: float) -> float:
-        return float(np.hypot(*_cut(self, depth_mm).rim_mm.T).max())
-
-    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
-        rim_mm = _cut(self, depth_mm).rim_mm
-        (x_min, y_min), (x_max, y_max) = rim_mm.min(axis=0).tolist(), rim_mm.max(axis=0).tolist()
-        return x_min, x_max, y_min, y_max
+    def _rim_mm(self, depth_mm: float) -> Floats:
+        return _cut(self, depth_mm).rim_mm
 
     def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
         """Return the smallest radius of what bulges, along an axis, in each of some places: creases are no edges."""
@@ -364,20 +359,15 @@ def _decoded_mm(heights: str, columns: int, step_mm: float) -> Floats:
     return np.where(codes == _NOTHING, np.inf, codes * step_mm)
 
 
-@lru_cache(maxsize=4)
-def _grid_mm(heights: str, columns: int, spacing_mm: float, step_mm: float) -> Floats:
-    """Return the points (rows, columns, 3) of an underside, z infinite where nothing is."""
-    return _grid_of(_decoded_mm(heights, columns, step_mm), spacing_mm)
-
-
 def _grid_of(heights_mm: Floats, spacing_mm: float) -> Floats:
+    """Return the points (rows, columns, 3) of an underside, z infinite where nothing is."""
     y, x = ((np.arange(side) - (side - 1) / 2) * spacing_mm for side in heights_mm.shape)
     return np.stack([*np.meshgrid(x, y), heights_mm], axis=-1)
 
 
 @lru_cache(maxsize=4)
 def _points_mm(heights: str, columns: int, spacing_mm: float, step_mm: float) -> Floats:
-    points = _grid_mm(heights, columns, spacing_mm, step_mm).reshape(-1, 3)
+    points = _grid_of(_decoded_mm(heights, columns, step_mm), spacing_mm).reshape(-1, 3)
     return points[np.isfinite(points[:, 2])]
 
 
@@ -463,8 +453,7 @@ def _cut(body: Surface, depth_mm: float) -> _Cut:
     """Return where a body, at a depth, cuts the undeformed membrane: between places of its grid, or at its walls."""
     from scipy.spatial import cKDTree
 
-    heights_mm = _decoded_mm(body.heights, body.columns, body.step_mm)
-    grid = _grid_of(np.pad(heights_mm, 1, constant_values=np.inf), body.spacing_mm)
+    grid = _grid_of(np.pad(body.heights_mm, 1, constant_values=np.inf), body.spacing_mm)
     solid = np.isfinite(grid[..., 2])
     points = np.where(np.isfinite(grid), grid, 1e6) @ body._turn.T
     above_mm = np.where(solid, points[..., 2] - (depth_mm - body.origin_height_mm), 1e6)

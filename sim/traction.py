@@ -7,7 +7,6 @@ loses of the force and the torque is given back where the stress is, so that the
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -144,22 +143,3 @@ class Slip:
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm and slip_mm."""
         write_arrays(path, {"x_mm": self.x_mm, "y_mm": self.y_mm, "slip_mm": self.slip_mm})
-
-
-class Stand(NamedTuple):
-    """Where an indenter's origin (3,) is on the sensor, and how it is turned (3, 3)."""
-
-    origin_mm: Floats
-    turn: Floats
-
-
-def slip_between(first: MembraneState, first_stand: Stand, then: MembraneState, then_stand: Stand) -> Slip:
-    """Return how far the membrane has slid over the indenter between two poses of one solve, on one grid.
-
-    Where the membrane sticks, it goes where the indenter's travel and turn carry it; slip is how far it is from there.
-    """
-    turn = then_stand.turn @ first_stand.turn.T
-    carried_mm = then_stand.origin_mm + (first.places_mm - first_stand.origin_mm) @ turn.T
-    touching = first.contact & then.contact
-    slip_mm = np.where(touching[..., None], then.places_mm - carried_mm, np.nan)
-    return Slip(then.x_mm, then.y_mm, slip_mm)

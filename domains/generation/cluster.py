@@ -13,9 +13,8 @@ from urllib.parse import urlsplit
 from gelgap.assets.locks import defer_signals
 from gelgap.assets.names import quoted
 from gelgap.assets.progress import Progress
-from gelgap.domains.generation.plan import FrameBatch, GenerationPlan
+from gelgap.domains.generation.plan import FrameBatch, GenerationPlan, PoseSource
 from gelgap.domains.generation.shard import Shard, paper_picture, render_batch
-from gelgap.sim.plan import PoseSource
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -12,10 +12,12 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import ContactPath, Elastomer, LibraryPlan, Pose, PosePath, PoseRanges, plan_solves
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.library import LibraryPose
-from gelgap.sim.plan import PoseSource, Solve, SolvePlan, joined
+from gelgap.sim.plan import Solve, SolvePlan, joined
 from gelgap.sim.scene import is_interior
 from gelgap.sim.solved import SolvedPose
 
+PoseSource = Solve | LibraryPlan
+"""What poses follow from: a solve, or a library of poses, which is made of several."""
 FRAMES_PER_SHARD = 128
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -35,19 +36,29 @@ def _problem(mount_stiffness_n_per_mm: float | None = None) -> ContactProblem:
     return replace(problem, mount_stiffness_n_per_mm=mount_stiffness_n_per_mm)
 
 
+def _off_mujocos_own(pad: StaticNewton) -> float:
+    """Return how far the solution of the last iteration is from the one that MuJoCo finds from rest, over its size."""
+    model, data = pad.gel.model, pad.data
+    found, force_n = data.qacc.copy(), pad.indenter_force_n
+    model.opt.solver, model.opt.iterations, model.opt.tolerance = mujoco.mjtSolver.mjSOL_NEWTON, 100, 0
+    data.qacc_warmstart[:] = 0
+    mujoco.mj_fwdConstraint(model, data)
+    np.testing.assert_allclose(pad.indenter_force_n, force_n, atol=1e-9)
+    model.opt.solver, model.opt.iterations = mujoco.mjtSolver.mjSOL_CG, 1
+    return float(np.abs(data.qacc - found).max() / np.abs(found).max())
+
+
 @pytest.mark.usefixtures("fresh_tangents")
 @pytest.mark.parametrize("mount_stiffness_n_per_mm", [None, 2.0])
 def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
     mount_stiffness_n_per_mm: float | None,
 ) -> None:
-    problem = _problem(mount_stiffness_n_per_mm)
-    condensed, alone = (StaticNewton(problem, condensed=switch) for switch in (True, False))
+    pad = StaticNewton(_problem(mount_stiffness_n_per_mm))
     for command in COMMANDS:
-        for one in (condensed, alone):
-            assert one.load_step(np.array(command), 30) == (True, False)
-        assert condensed.iterations == alone.iterations
-        np.testing.assert_allclose(condensed.indenter_force_n, alone.indenter_force_n, atol=1e-9)
-        np.testing.assert_allclose(condensed.vertices_mm(), alone.vertices_mm(), atol=1e-8)
+        assert pad.load_step(np.array(command), 1)[0] is False
+        assert np.linalg.norm(pad.indenter_force_n) > 0
+        assert _off_mujocos_own(pad) < 1e-6
+        pad.load_step(np.array(command), 30)
 
 
 @pytest.mark.usefixtures("fresh_tangents")
@@ -56,10 +67,10 @@ def test_mujoco_starts_from_nothing_else() -> None:
     gel = Elastomer(young_modulus_mpa=0.7, poisson_ratio=0.49, friction=0.24, mount_stiffness_n_per_mm=20.0)
     way = ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1))
     problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, (-1, 0))
-    condensed, alone = (solve(problem, condensed=switch).records for switch in (True, False))
-    for one, other in zip(condensed, alone, strict=True):
-        assert one.converged
-        np.testing.assert_allclose(one.force_n, other.force_n, rtol=1e-6, atol=1e-9)
+    press, drag = solve(problem).records
+    assert press.converged
+    assert drag.converged
+    assert 0.5 * press.force_n[2] > drag.force_n[2] > 2 * press.force_n[2]
 
 
 def test_a_flat_end_lets_go_near_static_friction_and_slides_at_kinetic() -> None:

@@ -19,10 +19,10 @@ def _problem(pose: Pose, body: Indenter = Sphere(), quality: str = "draft") -> C
 
 
 def test_longer_ways_and_finer_meshes_take_longer() -> None:
-    press = expected_core_s(_problem(Pose(depth_mm=0.6)))
+    shallow, press = (expected_core_s(_problem(Pose(depth_mm=depth_mm))) for depth_mm in (0.2, 0.6))
     drag = expected_core_s(_problem(Pose(depth_mm=0.6, shear_x_mm=0.4)))
     fine = expected_core_s(_problem(Pose(depth_mm=0.6), quality="standard"))
-    assert 0 < press < drag
+    assert 0 < shallow < press < drag
     assert 2 * press < fine
 
 

@@ -134,13 +134,6 @@ def test_a_solved_state_that_is_folded_does_not_count_as_converged(monkeypatch: 
     assert replace(state.diagnostics, folded=False).residual < 0.01
 
 
-def test_a_finer_and_deeper_solve_is_expected_to_take_longer() -> None:
-    def expected_s(quality: str, depth_mm: float) -> float:
-        return plan_visit(GEL, Sphere(), (Pose(depth_mm=depth_mm),), quality).solves[0].expected_core_s
-
-    assert 0 < expected_s("draft", 0.2) < expected_s("draft", 0.6) < expected_s("standard", 0.6)
-
-
 def test_relief_that_the_mesh_itself_serves_makes_a_round_contact_less_certain() -> None:
     place = np.arange(-30, 31) * 0.05
     square = place**2 + place[:, None] ** 2

@@ -37,9 +37,9 @@ class Capsule(Sphere):
     def penetration_radius_mm(self, depth_mm: float) -> float:
         return self.length_mm / 2 + super().penetration_radius_mm(depth_mm)
 
-    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
+    def cut_mm(self, depth_mm: float) -> Floats:
         along_mm, across_mm = self.penetration_radius_mm(depth_mm), super().penetration_radius_mm(depth_mm)
-        return -along_mm, along_mm, -across_mm, across_mm
+        return np.array([[-along_mm, along_mm], [-across_mm, across_mm]])
 
     def project(self, points_mm: Floats) -> Projection:
         axis = np.zeros_like(points_mm)

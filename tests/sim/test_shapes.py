@@ -92,7 +92,7 @@ def test_the_lowest_point_touches_and_the_cut_lies_on_the_surface(body: Shape) -
     assert body.origin_height_mm == pytest.approx(
         -body.project(np.array([[0, 0, -1e6]])).points_mm[0, 2], abs=1e-6
     )
-    x_min, x_max, y_min, y_max = body.cut_mm(0.3)
+    (x_min, x_max), (y_min, y_max) = body.cut_mm(0.3)
     assert x_min < x_max
     assert y_min < y_max
     assert body.penetration_radius_mm(0.3) <= np.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 1e-9
@@ -138,7 +138,7 @@ def test_presets_and_files_name_indenters(tmp_path: Path) -> None:
     assert load_indenter("cylinder-3", edge_radius_mm=0.4) == Cylinder(edge_radius_mm=0.4)
     trimesh.creation.icosphere(radius=2).export(tmp_path / "ball.stl")
     ball = load_indenter(str(tmp_path / "ball.stl"), yaw_deg=10)
-    assert ball.cut_mm(2.0)[1] == pytest.approx(2.0, abs=0.02)
+    assert ball.cut_mm(2.0)[0, 1] == pytest.approx(2.0, abs=0.02)
     (tmp_path / "ball.toml").write_text('mesh = "ball.stl"\nedge_radius_mm = 0.1\n')
     assert load_indenter(str(tmp_path / "ball.toml")).edge_radius_mm == 0.1
 

@@ -91,16 +91,6 @@ def test_damaged_and_foreign_files_are_listed_counted_and_cleared(cache: Path, s
     assert cache_use().solutions == 0
 
 
-def test_a_file_that_cannot_be_read_is_solved_anew(cache: Path, solution: Solution) -> None:
-    whole, file = solution_bytes(solution), cache / f"{solution.problem.key}.solution"
-    cache.mkdir()
-    file.write_bytes(whole[: len(whole) // 2])
-    assert cache_entries()[0].problem is None
-    assert load_solution(solution.problem.key) is None
-    store_solution(solution)
-    assert load_solution(solution.problem.key) == solution
-
-
 def test_a_solution_goes_between_processes(solution: Solution) -> None:
     sent = pickle.loads(pickle.dumps(solution))
     assert sent == solution

@@ -36,7 +36,7 @@ def dents() -> PoseLibrary:
         "converged": np.ones(travels.shape, bool),
         "coarse": np.zeros(travels.shape, bool),
     }
-    return PoseLibrary(plan, depths, RADIUS_MM, displacement, -displacement[..., 2:], numbers)
+    return PoseLibrary(plan, depths, displacement, -displacement[..., 2:], numbers)
 
 
 @pytest.fixture(scope="session")
