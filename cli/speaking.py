@@ -13,7 +13,7 @@ _ROOMS = logging.getLogger("gelgap")
 
 
 class Speaker(logging.Handler):
-    """While entered, prints warnings of the rooms, and what they begin to do: about the same work now and then."""
+    """While entered, prints each warning of the rooms once, and now and then what they begin to do."""
 
     def __enter__(self) -> Self:
         self._said_at: dict[str, float] = {}
@@ -27,11 +27,10 @@ class Speaker(logging.Handler):
         _ROOMS.setLevel(self._level)
 
     def emit(self, record: logging.LogRecord) -> None:
-        now, kind = time.monotonic(), str(record.msg)
-        if (
-            record.levelno < logging.WARNING
-            and now - self._said_at.get(kind, -math.inf) < SECONDS_BETWEEN_LINES
-        ):
+        now, kind, wait_s = time.monotonic(), str(record.msg), SECONDS_BETWEEN_LINES
+        if record.levelno >= logging.WARNING:
+            kind, wait_s = record.getMessage(), math.inf
+        if now - self._said_at.get(kind, -math.inf) < wait_s:
             return
         self._said_at[kind] = now
         with contextlib.suppress(OSError):

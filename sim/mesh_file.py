@@ -19,6 +19,7 @@ MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
 # By trimesh's names.
 _UNITS = {"mm": "mm", "cm": "cm", "m": "m", "inch": "inch", "um": "microns"}
 _GLTF_SUFFIXES = (".glb", ".gltf")
+_PACKINGS = (b"KHR_mesh_quantization", b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
 _CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend")
 _SMALLEST_MM, _LARGEST_MM = 0.5, 500.0
 _MOST_CORNERS = 4000
@@ -110,6 +111,8 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     suffix = path.suffix.lower()
     if suffix in _CAD_SUFFIXES:
         raise ValueError("is no mesh but a CAD file; export STL, OBJ or GLB from the CAD program")
+    if suffix in _GLTF_SUFFIXES and any(packing in path.read_bytes() for packing in _PACKINGS):
+        raise ValueError("has compressed or quantised corners, which are not read; export it without")
     try:
         scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()
@@ -119,7 +122,8 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
         raise ValueError("holds no triangles; export a surface as STL, OBJ or GLB")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("has corners that are not finite numbers; export it anew")
-    unit = unit or mesh.units or ("m" if suffix in _GLTF_SUFFIXES else "mm")
+    stated = unit or mesh.units or ("m" if suffix in _GLTF_SUFFIXES else None)
+    unit = stated or "mm"
     size = mesh.extents.max()
     size_mm = size * trimesh.units.unit_conversion(_UNITS.get(unit, unit), "mm")
     if not _SMALLEST_MM <= size_mm <= _LARGEST_MM:
@@ -136,8 +140,11 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     mesh.vertices *= size_mm / size
     if suffix in _GLTF_SUFFIXES:  # y is up (glTF 2.0, 3.4)
         mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, -1, 1]
+    if stated is None:
+        LOG.warning("%s: states no unit, mm are taken: %.3g mm large; set unit if wrong", path.name, size_mm)
     if len(bodies := scene.graph.nodes_geometry) > 1:
-        LOG.warning("%s: its %d bodies are pressed as one", path.name, len(bodies))
+        deeper = "where that allows too little depth, export each as a file, for [[parts]] of a TOML file"
+        LOG.warning("%s: its %d bodies are pressed as one; %s", path.name, len(bodies), deeper)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     faces = len(mesh.faces)
     mesh.fill_holes()

@@ -385,6 +385,7 @@ def _of_file(path: Path, fields: dict[str, Any]) -> Any:
     """Return the body of a mesh file, convex if it is where the gel reaches, or of a height map."""
     if path.suffix.lower() in MAP_SUFFIXES:
         _check_fields(Surface, fields, without=("flip",))
+        LOG.warning("%s: larger values reach deeper, or less deep if step_mm is negative", path.name)
         return Surface.load(path, **fields)
     if {"spacing_mm", "step_mm"} & fields.keys():
         raise ValueError(f"indenter = {str(path)!r}: a height map's name ends in {', '.join(MAP_SUFFIXES)}")

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.image_file import read_levels
 from gelgap.assets.settings import within
+from gelgap.assets.toml_file import named_in_errors
 from gelgap.sim.indenter import Floats, Symmetry
 from gelgap.sim.mesh_file import MeshUnit, lower_end
 from gelgap.sim.rounded import Shape
@@ -63,7 +64,7 @@ class Surface(Shape):
         description="From one place to the next, mm, 0.001 to 1."
     )
     step_mm: Annotated[float, within(1e-7, 0.1, "mm")] = Field(
-        description="Height of a step, mm, 1e-7 to 0.1; of a map file, to 1000, where it is in m."
+        description="Height of a step, mm, 1e-7 to 0.1; of a map file to 1000 (m), negative if larger is further off."
     )
     height_mm: Annotated[float, within(0.01, 500.0, "mm")] = Field(
         description="Height of the body, mm, 0.01 to 500; it is pressed to half of that at most."
@@ -104,7 +105,9 @@ class Surface(Shape):
         if heights.ndim != 2 or min(heights.shape) < 3 or max(heights.shape) > _MOST_SIDE:
             raise ValueError(f"heights are {heights.shape}: must be 3 to {_MOST_SIDE} rows and columns")
         if np.isnan(heights).any() or np.isneginf(heights).any():
-            raise ValueError("heights hold NaN or −inf, which are no heights; fill these places")
+            raise ValueError(
+                "heights hold NaN or an infinity that reaches into the gel: fill in, or write the other one for nothing"
+            )
         if not np.isfinite(heights).any():
             raise ValueError("is empty: nowhere is there anything to press")
         relief_mm = float(np.ptp(heights[np.isfinite(heights)]))
@@ -151,9 +154,9 @@ class Surface(Shape):
     ) -> Self:
         """Read a mesh file, or a height map: a grey PNG or TIFF of 8 or 16 bits, or a 2-D array as .npy.
 
-        A height map's rows grow with the sensor's y and its columns with x; larger values reach further into the gel.
-        From one place to the next it is `spacing_mm`, and from one value to the next `step_mm`, by default 1 mm for
-        .npy. Of a mesh that crosses itself, or has holes, the lowest of what is above each place is pressed.
+        A height map's rows grow with the sensor's y and its columns with x; larger values reach further into the gel,
+        or less far if `step_mm` is negative. Places are `spacing_mm` apart, values `step_mm`, by default 1 mm for .npy.
+        Of a mesh that crosses itself, or has holes, the lowest of what is above each place is pressed.
 
         Raises
         ------
@@ -163,25 +166,20 @@ class Surface(Shape):
             If it cannot be read, a map has no size, holds what is no number, or is empty.
         """
         path = Path(path)
-        try:
+        with named_in_errors(path):
             if path.suffix.lower() in MAP_SUFFIXES:
                 values = _map_values(path)
                 step_mm = 1.0 if step_mm is None and path.suffix.lower() == ".npy" else step_mm
                 for name, given, most in (("spacing_mm", spacing_mm, 1), ("step_mm", step_mm, 1000)):
-                    if not isinstance(given, float | int) or not 0 < given <= most:
-                        raise ValueError(
-                            f"{name} = {given!r}: a height map needs it, above 0 and at most {most} mm"
-                        )
+                    least = -most if name == "step_mm" else 0
+                    if not isinstance(given, float | int) or not least <= given <= most or given == 0:
+                        raise ValueError(f"{name} = {given!r}: a map needs it, {least} to {most} mm, not 0")
                 return cls.of(-step_mm * values, spacing_mm, **fields)
             triangles_mm, height_mm = lower_end(
                 path, unit, fields.get("flip", False), _DEEPEST_MM + _KEPT_ABOVE_MM
             )
             heights_mm, spacing_mm = grid_under(triangles_mm)
             return cls.of(heights_mm, spacing_mm, height_mm=height_mm, **fields)
-        except ValueError as error:
-            if str(path) in str(error):
-                raise
-            raise ValueError(f"indenter = {str(path)!r}: {error}") from None
 
     @property
     def label(self) -> str:
@@ -309,8 +307,6 @@ def _map_values(path: Path) -> Floats:
         raise ValueError("is not a .npy file of numbers") from None
     if values.dtype.kind not in "iuf":
         raise ValueError(f"holds {values.dtype}: must be numbers")
-    if np.isnan(values).any() or np.isposinf(values).any():
-        raise ValueError("holds NaN or inf, which are no heights: write −inf where nothing is")
     return values.astype(float)
 
 

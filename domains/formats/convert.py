@@ -37,6 +37,7 @@ TABLE = "frames.csv"
 COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
+_COUNTED = (".avi", ".mp4", ".mov")  # the others state no number of pictures, but how long they are
 _LAYOUT = (
     "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
     "folder of pictures (press/) with a table picture, time_s in it"
@@ -137,6 +138,8 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
             for number, picture in enumerate(own.pictures()):
                 if number in own.table.index:
                     (folder / f"{number:05d}.png").write_bytes(encode_png(picture))
+            if number < own.table.index.max():
+                raise ValueError(f"clip {facts.name} has {number + 1} of {facts.pictures} pictures")
             places = {
                 "picture": [f"{facts.name}/{number:05d}.png" for number in own.table.index],
                 "reference": f"{facts.name}/reference.png",
@@ -466,7 +469,7 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
 
 
 def _grabbed(path: Path) -> "Iterator[VideoCapture]":
-    """Yield a video at each of its pictures, before it is decoded."""
+    """Yield a video at each of its pictures, before it is decoded; warn if these are fewer than it states."""
     import cv2
 
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
@@ -475,6 +478,9 @@ def _grabbed(path: Path) -> "Iterator[VideoCapture]":
             raise ValueError(f"{path} is not a video that can be read")
         while video.grab():
             yield video
+        stated, read = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_POS_FRAMES)
+        if stated > read + 1 and path.suffix.lower() in _COUNTED:
+            LOG.warning("%s states %d pictures, of which %d could be read", path, stated, read)
     finally:
         video.release()
 

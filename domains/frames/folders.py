@@ -95,6 +95,9 @@ def _layout_problem(folder: Path, files: list[Path]) -> str | None:
         )
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
     if not inside and any(not _is_reference(path) for path in _pictures(files)):
+        sheets = [path.name for path in files if path.suffix.lower() in (".xlsx", ".xls", ".ods")]
+        if sheets and not any(map(_is_reference, files)):
+            return f"has pictures and no CSV table: save {', '.join(sheets)} as CSV, with a column picture"
         return None
     inside = inside or sorted({path.parent.name for path in folder.glob(f"*/*{TABLES[0]}")})
     what = "does not exist" if not folder.exists() else "is not a data set"

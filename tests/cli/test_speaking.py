@@ -19,12 +19,12 @@ def test_what_rooms_log_is_said_and_the_same_work_not_again_so_soon(
     with speaking.Speaker():
         for number in range(3):
             log.info("converting %d of 3", number)
-            log.warning("clip %d has no label", number)
+            log.warning("clip %d has no label", number % 2)
     log.info("nobody listens")
     said = capsys.readouterr().err.splitlines()
     assert said == [
         "gelgap: converting 0 of 3",
-        *(f"gelgap: clip {number} has no label" for number in range(3)),
+        *(f"gelgap: clip {number} has no label" for number in range(2)),
     ]
     assert logging.getLogger("gelgap").level == level
 

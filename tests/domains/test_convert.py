@@ -16,7 +16,8 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
     mine = write_recordings(tmp_path / "mine")
-    (mine / "press-1.avi").rename(mine / "press-1.AVI")
+    whole = (mine / "press-1.avi").read_bytes()
+    (mine / "press-1.avi").rename(mine / "press-1.AVI").write_bytes(whole[: -len(whole) // 10])
     (mine / "no-table.mp4").touch()
     found = convert(mine, "recordings", tmp_path / "out")
     assert [(clip.domain, clip.name, clip.lag) for clip in found] == [
@@ -28,6 +29,7 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(
     assert {row["object"] for row in rows} == {"press"}
     on_video, of_pictures = (force_of(tmp_path / "out/mine", name) for name in ("press-1", "press-2"))
     assert "not read, since no CSV table has their name: no-table.mp4" in caplog.messages
+    assert "press-1.AVI states 40 pictures, of which 3" in caplog.text
     assert on_video[26] == pytest.approx(of_pictures[26], abs=0.2)
     assert all(float(row["fx_n"]) == pytest.approx(-0.1 * float(row["fz_n"])) for row in rows[:20])
 

@@ -119,7 +119,11 @@ def test_a_clip_that_begins_with_a_force_or_ends_at_the_largest_lag_is_noted(
     assert lines[-1] == f"wrote {tmp_path / 'out/day'}"
 
 
-def test_corners_outside_of_the_pictures_are_refused(own_wedge: Path, tmp_path: Path):
+def test_a_video_cut_off_and_corners_outside_of_the_pictures_are_refused(own_wedge: Path, tmp_path: Path):
+    whole = (own_wedge / VIDEO).read_bytes()
+    (own_wedge / VIDEO).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"clip ball_1 has \d+ of 40 pictures"):
+        convert(own_wedge, LAYOUTS["wedge"], tmp_path / "out", lag=0)
     corners = {"topleft": (10, 10), "topright": (600, 12), "bottomleft": (12, 110), "bottomright": (600, 108)}
     rows = [{"Name": name, "x": x, "y": y} for name, (x, y) in corners.items()]
     write_table(own_wedge / "wedge_config/config_100.csv", rows)

@@ -114,6 +114,7 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
         ("empty.obj", "", {}, "is no readable mesh|holds no triangles"),
         ("nan.obj", CUBE_OBJ.replace("v -2 -2 0", "v nan -2 0"), {}, "not finite"),
         ("part.step", "ISO-10303-21;", {}, "is no mesh but a CAD file; export STL, OBJ or GLB"),
+        ("packed.glb", "glTF KHR_draco_mesh_compression", {}, "compressed or quantised corners, .* without"),
         ("part.blob", "…", {}, "is no readable mesh .*, heights as .npy"),
     ],
 )
@@ -154,6 +155,7 @@ def test_too_many_corners_are_reduced_and_said(tmp_path: Path, caplog: pytest.Lo
     fine.apply_translation([40, -30, 12])
     ball = ConvexMesh.load(written(tmp_path / "fine.stl", fine), edge_radius_mm=0.2)
     assert caplog.text.count("is reduced to 2562 corners, which moves its surface by up to 0.00") == 1
+    assert caplog.text.count("fine.stl: states no unit, mm are taken: 6 mm large; set unit if wrong") == 1
     assert ball.cut_mm(3.0)[0, 1] == pytest.approx(3.0, abs=0.01)
     assert ball.symmetry is Symmetry.MIRROR
 

@@ -113,6 +113,9 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
     np.save(tmp_path / "metres.npy", values * 5e-8)
     metres = load_indenter(str(tmp_path / "metres.npy"), spacing_mm=0.1, step_mm=1000.0)
     assert metres.deepest_mm == pytest.approx(1.0)
+    np.save(tmp_path / "camera.npy", 300.0 - values * 5e-5)
+    seen = load_indenter(str(tmp_path / "camera.npy"), spacing_mm=0.1, step_mm=-1.0)
+    np.testing.assert_allclose(seen.cut_mm(0.5), relief.cut_mm(0.5), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -120,11 +123,11 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
     [
         (np.ones((20, 20)), {"spacing_mm": 0.1}, "heights differ by 0 mm"),
         (1e-3 * np.eye(20), {"spacing_mm": 0.1}, "by 0.001 mm, must .* step_mm .* 1000 if in m"),
-        (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "holds NaN or inf, .* write −inf where nothing is"),
-        (np.eye(20), {"spacing_mm": "0.1"}, "spacing_mm = '0.1': a height map needs it"),
+        (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "hold NaN or an infinity .*: fill in"),
+        (np.eye(20), {"spacing_mm": "0.1"}, "spacing_mm = '0.1': a map needs it, 0 to 1"),
         (np.eye(20), {"spacing_mm": 0.1, "edge_radius_mm": "0.1"}, "edge_radius_mm = '0.1': input should be"),
-        (np.eye(20), {}, "spacing_mm = None: a height map needs it"),
-        (np.eye(20), {"spacing_mm": 0.1, "step_mm": -1.0}, "step_mm = -1.0: a height map needs it"),
+        (np.eye(20), {}, "spacing_mm = None: a map needs it"),
+        (np.eye(20), {"spacing_mm": 0.1, "step_mm": -1001.0}, "step_mm = -1001.0: a map needs it, -1000 to"),
         (np.zeros(20), {"spacing_mm": 0.1}, "must be 3 to"),
         (np.array([["a"]]), {"spacing_mm": 0.1}, "must be numbers"),
         (np.array([None]), {"spacing_mm": 0.1}, "is not a .npy file of numbers"),
