@@ -199,7 +199,7 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
 
 
 def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:
-    with pytest.raises(ValueError, match=r"indenter \(edge, .*\): a library of poses serves bodies of rev"):
+    with pytest.raises(ValueError, match=r"indenter \(edge, .*\): a library serves bodies of revolution"):
         LibraryPlan(GEL, Edge(), RANGES)
     for fields in (
         {"columns": ("traction",)},
