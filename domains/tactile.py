@@ -59,7 +59,7 @@ class TactileSensor:
     Parameters
     ----------
     elastomer, indenter
-        What is pressed, and by what.
+        What is pressed, and by what: a body of revolution.
     sensor, illumination
         What looks, by name or as settings; by default its own LEDs light it, or i0.
     deepest_mm, farthest_mm
@@ -74,7 +74,7 @@ class TactileSensor:
     Raises
     ------
     ValueError
-        If a setting is unknown, or the gel cannot be pressed so deep or dragged so far.
+        If a setting is unknown, the body not one of revolution, or the gel cannot be pressed so deep or dragged so far.
     """
 
     def __init__(

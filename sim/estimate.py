@@ -194,7 +194,7 @@ def _off_lines(problem: ContactProblem, record: Record) -> float:
     if problem.is_round and not problem.is_ring and problem.relief is not None:
         return 0.0
     patch_mm = meshed_mm = problem.meshed_radius_mm
-    if not (problem.is_round or problem.turns_deg):
+    if problem.is_ring or not (problem.is_round or problem.turns_deg):
         own_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
         patch_mm = min(meshed_mm, max(own_mm, cell_mm))
     return _BETWEEN_LINES * cell_mm * meshed_mm / patch_mm**2

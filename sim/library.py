@@ -22,7 +22,7 @@ from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import Diagnostics
-from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.membrane import (
     MembraneState,
     PolarTable,
@@ -55,6 +55,8 @@ _HELD_OUT_TRAVELS = (0.0, 1.5, 3.5, 5.5, 7.5)
 _SLIDES_FROM = 1.5
 # By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both. A mount gives way as the force grows.
 _GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "errors": 0.0}
+_GROWTH |= {"elastic_energy_mj": 2.5, "slip_mm": 1.0, "sticking_fraction": 0.0, "min_volume_ratio": 0.0}
+_LARGEST_OF = ("residual", "iterations", "imbalance", "coulomb_excess", "tension")
 _WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
 
 
@@ -118,6 +120,12 @@ class LibraryPlan:
     ranges: PoseRanges
     quality: str = "draft"
     depths: int = field(default_factory=lambda: _DEPTHS)
+
+    def __post_init__(self) -> None:
+        if self.indenter.symmetry is not Symmetry.REVOLUTION:
+            raise ValueError(
+                f"indenter ({self.indenter.label}): a library serves bodies of revolution; solve its poses singly"
+            )
 
     @cached_property
     def depths_mm(self) -> tuple[float, ...]:
@@ -305,7 +313,7 @@ class PoseLibrary:
             if column[0].ndim == 3:  # beyond its last row a table holds its rim
                 column = [np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), "edge") for one in column]
             stacked[name] = np.reshape(column, (*grid, *column[0].shape))
-        numbers = {name: stacked[name] for name in ("converged", "coarse")}
+        numbers = {name: stacked[name] for name in ("converged", "coarse", *_LARGEST_OF)}
         for name, power in _GROWTH.items():
             depth = depths_mm.reshape(-1, *(1,) * (stacked[name].ndim - 1))
             numbers[name] = stacked[name] / depth**power
@@ -350,6 +358,8 @@ class PoseLibrary:
         folded = is_folded(*axes_mm, displacement_mm)
         modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
         force_n = modulus * near.frame.on_sensor(near.value("force_n"))
+        found = {name: near.flags(name).max().item() for name in _LARGEST_OF}
+        found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
         # Estimates of the mesh's errors with those that were measured, unless none was held out.
         off_n, off_mm = 0.0, 0.0
         if self.held_out is not None:
@@ -364,6 +374,9 @@ class PoseLibrary:
             contact_radius_mm=float(near.value("contact_radius_mm")),
             converged=bool(near.flags("converged").all()) and not folded,
             diagnostics=Diagnostics(
+                **found,
+                sticking_fraction=float(near.value("sticking_fraction").clip(0.0, 1.0)),
+                elastic_energy_mj=modulus * float(near.value("elastic_energy_mj")),
                 fz_error_n=math.hypot(modulus * errors[0], off_n),
                 shear_error_n=math.hypot(modulus * errors[1], off_n),
                 contact_radius_error_mm=float(errors[2]),

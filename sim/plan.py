@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.relief import bridged
 from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
-from gelgap.sim.solution import Solution, load_solution, store_solution
+from gelgap.sim.solution import Solution, SolveDiagnostics, load_solution, store_solution
 from gelgap.sim.solved import ContactSolve, Placement, SolvedPose
 
 LOG = logging.getLogger(__name__)
@@ -166,7 +166,8 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
     radius_mm = contact_radius_mm(solution, record)
     found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa)
     force_errors_n = found.fz_error_n, found.shear_error_n
-    return {
+    how_solved = {own.name: getattr(found, own.name) for own in fields(SolveDiagnostics)}
+    return how_solved | {
         "displacement_mm": polar_table(solution, record).values,
         "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
         "indenter_mm": record.indenter_mm,

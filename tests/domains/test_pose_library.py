@@ -53,6 +53,9 @@ def test_a_solved_pose_is_given_back(plan: LibraryPlan, checked: PoseLibrary) ->
     np.testing.assert_allclose(on_its_grid.displacement_mm, exact.displacement_mm, atol=2e-6)
     np.testing.assert_array_equal(on_its_grid.contact, exact.contact)
     assert served.contact_radius_mm == pytest.approx(exact.contact_radius_mm)
+    assert exact.diagnostics.slip == served.diagnostics.slip != "stick"
+    for name in ("sticking_fraction", "slip_mm", "elastic_energy_mj", "residual", "coulomb_excess"):
+        assert getattr(served.diagnostics, name) == pytest.approx(getattr(exact.diagnostics, name)), name
 
 
 def test_held_out_poses_tell_the_error_of_those_between(checked: PoseLibrary) -> None:
@@ -196,6 +199,8 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
 
 
 def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:
+    with pytest.raises(ValueError, match=r"indenter \(edge, .*\): a library serves bodies of revolution"):
+        LibraryPlan(GEL, Edge(), RANGES)
     for fields in (
         {"columns": ("traction",)},
         {"indenter": Edge()},

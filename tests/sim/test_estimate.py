@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, solve_poses
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, load_indenter, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -113,6 +113,13 @@ def test_a_shallow_pose_on_the_mesh_of_a_deep_one_is_coarse_and_alone_is_not() -
     assert not alone.diagnostics.coarse
     assert alone.converged
     assert shared.diagnostics.fz_error_n > 2 * alone.diagnostics.fz_error_n
+
+
+def test_a_shallow_pose_of_a_ring_on_the_mesh_of_a_deep_one_is_coarse_too() -> None:
+    problem = plan_visit(GEL, load_indenter("ring"), [Pose(depth_mm=0.4)], "draft").solves[0].problem
+    shallow, deep = (diagnose(_solution(problem, _record(d)), 0, 2.6, 1.0, 1.0) for d in (0.05, 0.4))
+    assert shallow.coarse
+    assert not deep.coarse
 
 
 def test_a_membrane_that_lies_on_itself_is_folded() -> None:
