@@ -248,9 +248,7 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
     That is 3 μ P (2 − ν) / (16 a G) of an incompressible half-space (Johnson 1985, eq. 7.42), 1.5 μ d by Hertz, with P
     of the bonded layer (Dimitriadis et al. 2002, Biophys. J. 82:2798) and the layer's own shear beside it.
     """
-    area = math.prod(
-        max(0.0, high - low) / 2 for low, high in np.reshape(problem.indenter.cut_mm(depth_mm), (2, 2))
-    )
+    area = math.prod(np.ptp(problem.indenter.cut_mm(depth_mm), axis=1).tolist()) / 4
     chi = math.sqrt(area / 2) / problem.thickness_mm
     stiffer = 1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4
     return 1.5 * problem.friction * depth_mm * stiffer / (1 + 3 * math.pi / 16 * chi)
