@@ -80,13 +80,8 @@ class SteadySlide:
     def looks(self, solutions: Sequence[Solution]) -> list[_Look]:
         """Return what the two looks at each slide that converged show, of those solved so far."""
         ends = [waypoint.end for waypoint in self.waypoints if isinstance(waypoint, _Moved)]
-        return [
-            _look(solutions, end)
-            for end in ends
-            if end.earlier >= 0
-            and end.problem < len(solutions)
-            and solutions[end.problem].records[end.record].converged
-        ]
+        done = [end for end in ends if end.earlier >= 0 and end.problem < len(solutions)]
+        return [_look(solutions, end) for end in done if solutions[end.problem].records[end.record].converged]
 
     def moved(self, solutions: Sequence[Solution]) -> Solution:
         """Return the solution of the whole problem from those of the solved ones."""
