@@ -44,8 +44,7 @@ _FINE_SPACING_MM = 0.05
 _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
-# Points are moved this far within the vertices' hull, whose edges are straight but for rounding.
-_INSET_MM = 1e-9
+_INSET_MM = 1e-9  # by which points are moved within the vertices' hull, straight but for rounding
 # A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
 _FADING_CELLS = 6.0
 
@@ -344,7 +343,8 @@ class MembraneCubic:
 
     def within(self, points_mm: Floats) -> Floats:
         """Move points (…, 2) beyond the vertices' hull to its rim."""
-        points = np.clip(points_mm, self.rest_mm.min(axis=0) + _INSET_MM, self.rest_mm.max(axis=0) - _INSET_MM)
+        low, high = self.rest_mm.min(axis=0) + _INSET_MM, self.rest_mm.max(axis=0) - _INSET_MM
+        points = np.clip(points_mm, low, high)
         x, y = points[..., 0], points[..., 1]
         beyond = np.ones(x.shape)
         # A product of matrices, one for each row of points, has BLAS' threads wait for one another: 100 times as long.
