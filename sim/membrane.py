@@ -44,6 +44,7 @@ _FINE_SPACING_MM = 0.05
 _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
+_INSET_MM = 1e-9  # by which points are moved within the vertices' hull, straight but for rounding
 # A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
 _FADING_CELLS = 6.0
 
@@ -338,11 +339,12 @@ class MembraneCubic:
         from scipy.spatial import ConvexHull
 
         edges = ConvexHull(self.rest_mm).equations
-        return edges[edges[:, 2] < -1e-9]
+        return edges[edges[:, 2] < -_INSET_MM]
 
     def within(self, points_mm: Floats) -> Floats:
         """Move points (…, 2) beyond the vertices' hull to its rim."""
-        points = np.clip(points_mm, self.rest_mm.min(axis=0), self.rest_mm.max(axis=0))
+        low, high = self.rest_mm.min(axis=0) + _INSET_MM, self.rest_mm.max(axis=0) - _INSET_MM
+        points = np.clip(points_mm, low, high)
         x, y = points[..., 0], points[..., 1]
         beyond = np.ones(x.shape)
         # A product of matrices, one for each row of points, has BLAS' threads wait for one another: 100 times as long.

@@ -453,9 +453,7 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
 def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:
     """Renumber the vertices in reverse order of elimination.
 
-    The `touchable` ones come first: the contact problem is condensed onto them; and MuJoCo, which eliminates from the
-    last vertex to the first, takes as long to update its factor for a contact as there are vertices that depend on the
-    contact's. The rest follow in reverse order of elimination, the bonded ones at the end.
+    The `touchable` ones come first, since the contact problem is condensed onto them; the bonded ones are at the end.
     """
     count = len(mesh.vertices_mm)
     moving = np.setdiff1d(np.arange(count), mesh.bottom)

@@ -80,13 +80,8 @@ class SteadySlide:
     def looks(self, solutions: Sequence[Solution]) -> list[_Look]:
         """Return what the two looks at each slide that converged show, of those solved so far."""
         ends = [waypoint.end for waypoint in self.waypoints if isinstance(waypoint, _Moved)]
-        return [
-            _look(solutions, end)
-            for end in ends
-            if end.earlier >= 0
-            and end.problem < len(solutions)
-            and solutions[end.problem].records[end.record].converged
-        ]
+        done = [end for end in ends if end.earlier >= 0 and end.problem < len(solutions)]
+        return [_look(solutions, end) for end in done if solutions[end.problem].records[end.record].converged]
 
     def moved(self, solutions: Sequence[Solution]) -> Solution:
         """Return the solution of the whole problem from those of the solved ones."""
@@ -248,9 +243,7 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
     That is 3 μ P (2 − ν) / (16 a G) of an incompressible half-space (Johnson 1985, eq. 7.42), 1.5 μ d by Hertz, with P
     of the bonded layer (Dimitriadis et al. 2002, Biophys. J. 82:2798) and the layer's own shear beside it.
     """
-    area = math.prod(
-        max(0.0, high - low) / 2 for low, high in np.reshape(problem.indenter.cut_mm(depth_mm), (2, 2))
-    )
+    area = math.prod(np.ptp(problem.indenter.cut_mm(depth_mm), axis=1).tolist()) / 4
     chi = math.sqrt(area / 2) / problem.thickness_mm
     stiffer = 1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4
     return 1.5 * problem.friction * depth_mm * stiffer / (1 + 3 * math.pi / 16 * chi)

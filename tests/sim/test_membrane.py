@@ -144,3 +144,11 @@ def test_staggered_long_cells_do_not_show_along_an_edge() -> None:
         return float(np.sqrt(np.mean((slopes - smooth) ** 2)))
 
     assert ripple(in_cells) < 0.5 * ripple(replace(in_cells, cells=None))
+
+
+def test_beyond_an_edge_through_the_contact_point_the_membrane_is_that_of_the_edge() -> None:
+    rest_mm = np.stack(np.meshgrid(np.linspace(-2, 2, 9), np.linspace(0, 2, 5)), axis=-1).reshape(-1, 2)
+    rest_mm += np.random.default_rng(0).uniform(-3e-13, 3e-13, rest_mm.shape)
+    beyond_mm = np.stack([np.linspace(-2, 2, 100), np.full(100, -1.0)], axis=1)
+    values = MembraneCubic(rest_mm, np.pad(rest_mm, ((0, 0), (0, 1)))).at(beyond_mm)
+    np.testing.assert_allclose(values[:, :2], [1, 0] * beyond_mm, atol=5e-3)
