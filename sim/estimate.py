@@ -6,7 +6,7 @@ the same causes.
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from gelgap.assets.names import one_line
 from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import LARGEST_POISSON_RATIO, ContactProblem
 from gelgap.sim.rim import sticking_share
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
@@ -60,6 +60,12 @@ _SHARP_EDGE = 0.0055
 # Gel of ν 0.48 that is covered wholly, 0.15 of 3 mm deep, has 3 % too much force without friction and 2.5 % too little
 # without slip beside felupe at `draft`: MuJoCo's energy is not its own under pressure from all sides.
 _COVERED = 0.0175
+# A contact wide beside its layer is stiffer by (a/h)² times this for each unit that ν is above the mesh's: twice that
+# without slip by lubrication theory of a bonded layer, half without friction, beside what `FORCE_RISE_PER_POISSON` has.
+_LAYER_RISE = 4.0
+# Presses much shallower than those that the equivalent moduli are fitted to would need the gel's own: twice this share
+# of what lies between is 0.9 to 1.2 of how far Hertz's forces on a thick pad are off (ν 0 to 0.45).
+_EQUIVALENT_OFF = 0.6
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
 # The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
@@ -162,6 +168,8 @@ def diagnose(
     variance[:2] += _off_lines(problem, record) ** 2
     if problem.covers_pad:
         variance[0] += _COVERED**2
+    above = max(0.0, problem.moduli.poisson_ratio - LARGEST_POISSON_RATIO)
+    variance[0] += (_LAYER_RISE * above * (contact_radius_mm / problem.thickness_mm) ** 2) ** 2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
     variance[:2] += record.moved_error**2
@@ -183,6 +191,13 @@ def diagnose(
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
     )
+
+
+def with_equivalent(found: Diagnostics, stiffer: float, force_n: float) -> Diagnostics:
+    """Return diagnostics of a gel for which one of MuJoCo's energy stands, `stiffer` than it (`equivalent_moduli`)."""
+    off_n = _EQUIVALENT_OFF * (stiffer - 1) * force_n
+    fz_n, shear_n = math.hypot(found.fz_error_n, off_n), math.hypot(found.shear_error_n, off_n)
+    return replace(found, fz_error_n=fz_n, shear_error_n=shear_n)
 
 
 def _off_lines(problem: ContactProblem, record: Record) -> float:

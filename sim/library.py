@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import Diagnostics
+from gelgap.sim.estimate import Diagnostics, with_equivalent
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     MembraneState,
@@ -355,6 +355,15 @@ class PoseLibrary:
         if self.held_out is not None:
             off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
             off_mm = self.errors["membrane_rms_um"] / 1000
+        found = Diagnostics(
+            fz_error_n=math.hypot(modulus * errors[0], off_n),
+            shear_error_n=math.hypot(modulus * errors[1], off_n),
+            contact_radius_error_mm=float(errors[2]),
+            membrane_error_mm=math.hypot(errors[3], off_mm),
+            coarse=bool(near.flags("coarse").any()),
+            folded=folded,
+        )
+        stiffer = modulus / elastomer.young_modulus_mpa
         return LibraryPose(
             *axes_mm,
             displacement_mm,
@@ -363,14 +372,7 @@ class PoseLibrary:
             torque_n_mm=modulus * near.frame.on_sensor(near.value("torque_n_mm")),
             contact_radius_mm=float(near.value("contact_radius_mm")),
             converged=bool(near.flags("converged").all()) and not folded,
-            diagnostics=Diagnostics(
-                fz_error_n=math.hypot(modulus * errors[0], off_n),
-                shear_error_n=math.hypot(modulus * errors[1], off_n),
-                contact_radius_error_mm=float(errors[2]),
-                membrane_error_mm=math.hypot(errors[3], off_mm),
-                coarse=bool(near.flags("coarse").any()),
-                folded=folded,
-            ),
+            diagnostics=with_equivalent(found, stiffer, float(np.linalg.norm(force_n))),
             neighbours=near,
             modulus_mpa=modulus,
         )

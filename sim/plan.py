@@ -292,7 +292,9 @@ def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Serve
         if not any(pose.depth_mm for pose in visited):
             continue
         furthest = max(visited, key=lambda pose: (pose.radius_mm, np.linalg.norm(pose.roll_deg)))
-        frame = canonical_frame(scene, furthest)
+        # Edges matter to all poses if they do to the widest contact.
+        deepest_mm = max(pose.depth_mm for pose in visited)
+        frame = canonical_frame(scene, replace(furthest, depth_mm=deepest_mm))
         waypoints = [frame.command(pose) for pose in visited]
         x, y, z, *turn = waypoints[0]
         if any((x, y, *turn)):

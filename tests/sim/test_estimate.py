@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, solve_poses
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, solve_pose, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -72,6 +72,28 @@ def test_a_contact_of_hardly_a_cell_is_flagged_and_one_of_many_is_not() -> None:
     resolved, hardly = (_found(_record(), radius) for radius in (0.9, 0.05))
     assert hardly.coarse
     assert not resolved.coarse
+
+
+def test_a_contact_wide_beside_gel_that_hardly_gives_is_coarse() -> None:
+    nearly = GEL.model_copy(update={"poisson_ratio": 0.4999})
+    (solve,) = plan_visit(nearly, Sphere(diameter_mm=20.0), [Pose(depth_mm=0.6)], "draft").solves
+    wide, narrow = (
+        diagnose(_solution(solve.problem, _record()), 0, radius_mm, 1.0, 1.0) for radius_mm in (6.0, 2.0)
+    )
+    assert wide.coarse
+    assert not narrow.coarse
+    # Lubrication theory without friction has 2.05 (a/h)² (ν − 0.49) more force.
+    assert wide.fz_error_n > 0.4 * 2.05 * 4 * 0.0099
+
+
+def test_a_shallow_press_of_compressible_gel_is_less_certain() -> None:
+    pose, thick = Pose(depth_mm=0.05), {"thickness_mm": 10.0, "pad_size_mm": (60.0, 60.0), "friction": 0.0}
+    for energy, off in (("isochoric", 0.09), ("stable-neo-hookean", 0.02)):
+        gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.3, strain_energy=energy, **thick)
+        found = solve_pose(gel, Sphere(diameter_mm=6.0), pose, "draft")
+        hertz_n = 4 * 0.3 / (3 * (1 - 0.3**2)) * 3**0.5 * 0.05**1.5
+        assert found.diagnostics.fz_error_n > off / 2 * hertz_n
+        assert -found.force_n[2] / hertz_n - 1 < 2 * found.diagnostics.fz_error_n / hertz_n + 0.03
 
 
 def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
