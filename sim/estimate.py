@@ -6,7 +6,7 @@ the same causes.
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, ContactProblem
 from gelgap.sim.rim import sticking_share
+from gelgap.sim.scene import Elastomer
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
@@ -60,12 +61,9 @@ _SHARP_EDGE = 0.0055
 # Gel of ν 0.48 that is covered wholly, 0.15 of 3 mm deep, has 3 % too much force without friction and 2.5 % too little
 # without slip beside felupe at `draft`: MuJoCo's energy is not its own under pressure from all sides.
 _COVERED = 0.0175
-# A contact wide beside its layer is stiffer by (a/h)² times this for each unit that ν is above the mesh's: twice that
-# without slip by lubrication theory of a bonded layer, half without friction, beside what `FORCE_RISE_PER_POISSON` has.
+# By lubrication theory a wide contact is stiffer by (a/h)² times half to twice this for what ν is above the mesh's.
 _LAYER_RISE = 4.0
-# Presses much shallower than those that the equivalent moduli are fitted to would need the gel's own: twice this share
-# of what lies between is 0.9 to 1.2 of how far Hertz's forces on a thick pad are off (ν 0 to 0.45).
-_EQUIVALENT_OFF = 0.6
+_EQUIVALENT_OFF = 0.6  # half of how far shallow presses are off Hertz's force, over what E′ is above E
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
 # The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
@@ -156,23 +154,26 @@ def _tangential(solution: Solution, index: int) -> float:
 
 
 def diagnose(
-    solution: Solution, index: int, contact_radius_mm: float, twist: float, modulus_ratio: float
+    solution: Solution, index: int, radius_mm: float, twist: float, modulus_ratio: float, gel: Elastomer
 ) -> Diagnostics:
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's.
 
     `twist` is the record's `twist_factor`.
     """
     problem, record = solution.problem, solution.records[index]
-    causes = causes_of_error(solution, index, contact_radius_mm)
+    causes = causes_of_error(solution, index, radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
     variance[:2] += _off_lines(problem, record) ** 2
     if problem.covers_pad:
         variance[0] += _COVERED**2
-    above = max(0.0, problem.moduli.poisson_ratio - LARGEST_POISSON_RATIO)
-    variance[0] += (_LAYER_RISE * above * (contact_radius_mm / problem.thickness_mm) ** 2) ** 2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
     variance[:2] += record.moved_error**2
+    rise = _LAYER_RISE * max(0.0, problem.moduli.poisson_ratio - LARGEST_POISSON_RATIO)
+    variance[0] += (rise * (radius_mm / problem.thickness_mm) ** 2) ** 2
+    coarse = math.sqrt(variance[:2].max()) > LARGEST_ESTIMATE[problem.quality.name]
+    stiffer = gel.mujoco_moduli.young_modulus_mpa / gel.young_modulus_mpa
+    variance[:2] += (_EQUIVALENT_OFF * (stiffer - 1)) ** 2
     fz, shear, radius, membrane = np.sqrt(variance).tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     torque_n_mm = abs(float(record.torque_n_mm[2]))
@@ -186,18 +187,11 @@ def diagnose(
         **found,
         fz_error_n=fz * force_n,
         shear_error_n=shear * force_n,
-        tz_error_n_mm=_twist_off(_cells(problem, contact_radius_mm), twist) * modulus_ratio * torque_n_mm,
-        contact_radius_error_mm=radius * contact_radius_mm,
+        tz_error_n_mm=_twist_off(_cells(problem, radius_mm), twist) * modulus_ratio * torque_n_mm,
+        contact_radius_error_mm=radius * radius_mm,
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
-        coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
+        coarse=coarse,
     )
-
-
-def with_equivalent(found: Diagnostics, stiffer: float, force_n: float) -> Diagnostics:
-    """Return diagnostics of a gel for which one of MuJoCo's energy stands, `stiffer` than it (`equivalent_moduli`)."""
-    off_n = _EQUIVALENT_OFF * (stiffer - 1) * force_n
-    fz_n, shear_n = math.hypot(found.fz_error_n, off_n), math.hypot(found.shear_error_n, off_n)
-    return replace(found, fz_error_n=fz_n, shear_error_n=shear_n)
 
 
 def _off_lines(problem: ContactProblem, record: Record) -> float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import Diagnostics, with_equivalent
+from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     MembraneState,
@@ -291,7 +291,8 @@ class PoseLibrary:
         """Return the library of the poses of a solve plan."""
         found = []
         for pose, own in zip(solved.poses, solved.placements, strict=True):
-            fields = equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
+            solution = solutions[solved.solves[own.solve].key]
+            fields = equilibrium(solution, own, solved.elastomer) | {"depth_mm": pose.depth_mm}
             # How far a mount has given way, along the drag: none where the drive is rigid.
             fields["mount_mm"] = fields.pop("indenter_mm") - [pose.radius_mm, 0.0, -pose.depth_mm]
             found.append(fields)
@@ -355,15 +356,6 @@ class PoseLibrary:
         if self.held_out is not None:
             off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
             off_mm = self.errors["membrane_rms_um"] / 1000
-        found = Diagnostics(
-            fz_error_n=math.hypot(modulus * errors[0], off_n),
-            shear_error_n=math.hypot(modulus * errors[1], off_n),
-            contact_radius_error_mm=float(errors[2]),
-            membrane_error_mm=math.hypot(errors[3], off_mm),
-            coarse=bool(near.flags("coarse").any()),
-            folded=folded,
-        )
-        stiffer = modulus / elastomer.young_modulus_mpa
         return LibraryPose(
             *axes_mm,
             displacement_mm,
@@ -372,7 +364,14 @@ class PoseLibrary:
             torque_n_mm=modulus * near.frame.on_sensor(near.value("torque_n_mm")),
             contact_radius_mm=float(near.value("contact_radius_mm")),
             converged=bool(near.flags("converged").all()) and not folded,
-            diagnostics=with_equivalent(found, stiffer, float(np.linalg.norm(force_n))),
+            diagnostics=Diagnostics(
+                fz_error_n=math.hypot(modulus * errors[0], off_n),
+                shear_error_n=math.hypot(modulus * errors[1], off_n),
+                contact_radius_error_mm=float(errors[2]),
+                membrane_error_mm=math.hypot(errors[3], off_mm),
+                coarse=bool(near.flags("coarse").any()),
+                folded=folded,
+            ),
             neighbours=near,
             modulus_mpa=modulus,
         )

@@ -221,10 +221,8 @@ class Scene:
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
         if depth_mm > _ROUNDING_MM > pose.depth_mm:
-            raise ValueError(
-                f"depth_mm = {pose.depth_mm:g}: turned about its origin the indenter ({indenter.label}) still reaches "
-                f"{depth_mm:.3g} mm deep; press it deeper than 0 mm, or turn it back"
-            )
+            deep = f"the turned indenter ({indenter.label}) still reaches {depth_mm:.3g} mm deep"
+            raise ValueError(f"depth_mm = {pose.depth_mm:g}: {deep}; must be more than 0 mm, or turned back")
         deepest = deepest_mm(gel, indenter)
         if depth_mm > deepest + _ROUNDING_MM:
             raise ValueError(

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.estimate import diagnose, with_equivalent
+from gelgap.sim.estimate import diagnose
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
@@ -136,10 +136,7 @@ class ContactSolve:
         displacement_mm = between.at(rest_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio)
-        young_mpa = self.solution.problem.moduli_of(self.elastomer).young_modulus_mpa
-        stiffer = young_mpa / self.elastomer.young_modulus_mpa
-        found = with_equivalent(found, stiffer, ratio * float(np.linalg.norm(record.force_n)))
+        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio, self.elastomer)
         recesses = recesses_of(self.solution.problem)
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter

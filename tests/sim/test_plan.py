@@ -194,6 +194,8 @@ def test_edges_matter_to_a_descent_if_they_do_to_its_deepest_pose() -> None:
     assert alone.pad_mm is not None
     for poses in ([shallow, deep], [deep, shallow], [deep, replace(shallow, shear_x_mm=0.1)]):
         assert plan_visit(gel, body, poses, "draft").solves[0].problem.pad_mm == alone.pad_mm
+    with pytest.raises(ValueError, match="several trajectories"):
+        plan_visit(gel, body, [replace(deep, trajectory=1), replace(deep, trajectory=2)], "draft")
 
 
 def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:
