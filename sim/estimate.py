@@ -169,7 +169,7 @@ def diagnose(
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
     variance[:2] += record.moved_error**2
-    rise = _LAYER_RISE * max(0.0, problem.moduli.poisson_ratio - LARGEST_POISSON_RATIO)
+    rise = _LAYER_RISE * max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
     variance[0] += (rise * (radius_mm / problem.thickness_mm) ** 2) ** 2
     coarse = math.sqrt(variance[:2].max()) > LARGEST_ESTIMATE[problem.quality.name]
     stiffer = gel.mujoco_moduli.young_modulus_mpa / gel.young_modulus_mpa
