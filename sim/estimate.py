@@ -14,8 +14,9 @@ import numpy as np
 from gelgap.assets.names import one_line
 from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import LARGEST_POISSON_RATIO, ContactProblem
 from gelgap.sim.rim import sticking_share
+from gelgap.sim.scene import Elastomer
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
@@ -60,6 +61,9 @@ _SHARP_EDGE = 0.0055
 # Gel of ν 0.48 that is covered wholly, 0.15 of 3 mm deep, has 3 % too much force without friction and 2.5 % too little
 # without slip beside felupe at `draft`: MuJoCo's energy is not its own under pressure from all sides.
 _COVERED = 0.0175
+# By lubrication theory a wide contact is stiffer by (a/h)² times half to twice this for what ν is above the mesh's.
+_LAYER_RISE = 4.0
+_EQUIVALENT_OFF = 0.6  # half of how far shallow presses are off Hertz's force, over what E′ is above E
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
 # The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
@@ -150,14 +154,14 @@ def _tangential(solution: Solution, index: int) -> float:
 
 
 def diagnose(
-    solution: Solution, index: int, contact_radius_mm: float, twist: float, modulus_ratio: float
+    solution: Solution, index: int, radius_mm: float, twist: float, modulus_ratio: float, gel: Elastomer
 ) -> Diagnostics:
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's.
 
     `twist` is the record's `twist_factor`.
     """
     problem, record = solution.problem, solution.records[index]
-    causes = causes_of_error(solution, index, contact_radius_mm)
+    causes = causes_of_error(solution, index, radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
     variance[:2] += _off_lines(problem, record) ** 2
     if problem.covers_pad:
@@ -165,6 +169,11 @@ def diagnose(
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
     variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
     variance[:2] += record.moved_error**2
+    rise = _LAYER_RISE * max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
+    variance[0] += (rise * (radius_mm / problem.thickness_mm) ** 2) ** 2
+    coarse = math.sqrt(variance[:2].max()) > LARGEST_ESTIMATE[problem.quality.name]
+    stiffer = gel.mujoco_moduli.young_modulus_mpa / gel.young_modulus_mpa
+    variance[:2] += (_EQUIVALENT_OFF * (stiffer - 1)) ** 2
     fz, shear, radius, membrane = np.sqrt(variance).tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     torque_n_mm = abs(float(record.torque_n_mm[2]))
@@ -178,10 +187,10 @@ def diagnose(
         **found,
         fz_error_n=fz * force_n,
         shear_error_n=shear * force_n,
-        tz_error_n_mm=_twist_off(_cells(problem, contact_radius_mm), twist) * modulus_ratio * torque_n_mm,
-        contact_radius_error_mm=radius * contact_radius_mm,
+        tz_error_n_mm=_twist_off(_cells(problem, radius_mm), twist) * modulus_ratio * torque_n_mm,
+        contact_radius_error_mm=radius * radius_mm,
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
-        coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
+        coarse=coarse,
     )
 
 

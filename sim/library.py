@@ -299,7 +299,8 @@ class PoseLibrary:
         """Return the library of the poses of a solve plan."""
         found = []
         for pose, own in zip(solved.poses, solved.placements, strict=True):
-            fields = equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
+            solution = solutions[solved.solves[own.solve].key]
+            fields = equilibrium(solution, own, solved.elastomer) | {"depth_mm": pose.depth_mm}
             # How far a mount has given way, along the drag: none where the drive is rigid.
             fields["mount_mm"] = fields.pop("indenter_mm") - [pose.radius_mm, 0.0, -pose.depth_mm]
             found.append(fields)

@@ -159,12 +159,12 @@ def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
     return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
 
 
-def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
+def equilibrium(solution: Solution, placement: Placement, gel: Elastomer) -> dict[str, Any]:
     """Return one solved pose as polar tables and numbers for a modulus of 1 MPa, as libraries of poses hold it."""
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
-    found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa)
+    found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa, gel)
     force_errors_n = found.fz_error_n, found.shear_error_n
     how_solved = {own.name: getattr(found, own.name) for own in fields(SolveDiagnostics)}
     return how_solved | {
@@ -209,6 +209,8 @@ def plan_visit(
     ValueError if the poses do not share their point, lie off the pad or deeper than it allows, or there is no such
     quality.
     """
+    if len({pose.trajectory for pose in poses} - {None}) > 1:
+        raise ValueError("poses: are of several trajectories; solve each by itself, or plan them as a path")
     scene = Scene(elastomer, indenter, quality, sharing or Sharing())
     return _plan(scene, tuple(replace(pose, trajectory=0) for pose in poses))
 
@@ -293,7 +295,7 @@ def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Serve
         if not any(pose.depth_mm for pose in visited):
             continue
         furthest = max(visited, key=lambda pose: (pose.radius_mm, np.linalg.norm(pose.roll_deg)))
-        frame = canonical_frame(scene, furthest)
+        frame = canonical_frame(scene, replace(furthest, depth_mm=max(pose.depth_mm for pose in visited)))
         waypoints = [frame.command(pose) for pose in visited]
         x, y, z, *turn = waypoints[0]
         if any((x, y, *turn)):

@@ -220,6 +220,9 @@ class Scene:
             value, half = getattr(pose, name), size / 2
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
+        if depth_mm > _ROUNDING_MM > pose.depth_mm:
+            deep = f"the turned indenter ({indenter.label}) still reaches {depth_mm:.3g} mm deep"
+            raise ValueError(f"depth_mm = {pose.depth_mm:g}: {deep}; must be more than 0 mm, or turned back")
         deepest = deepest_mm(gel, indenter)
         if depth_mm > deepest + _ROUNDING_MM:
             raise ValueError(

@@ -136,7 +136,7 @@ class ContactSolve:
         displacement_mm = between.at(rest_mm)
         origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio)
+        found = diagnose(self.solution, placement.record, radius_mm, twist, ratio, self.elastomer)
         recesses = recesses_of(self.solution.problem)
         if recesses is not None and contact.any():
             from scipy.ndimage import uniform_filter

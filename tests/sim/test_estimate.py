@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, load_indenter, solve_poses
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, Surface, load_indenter, solve_pose, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, Diagnostics, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -44,7 +44,7 @@ def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[s
 
 
 def _found(record: Record, radius_mm: float, ratio: float = 1.0) -> Diagnostics:
-    return diagnose(_solution(_problem(), record), 0, radius_mm, 1.0, ratio)
+    return diagnose(_solution(_problem(), record), 0, radius_mm, 1.0, ratio, GEL)
 
 
 def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
@@ -74,14 +74,37 @@ def test_a_contact_of_hardly_a_cell_is_flagged_and_one_of_many_is_not() -> None:
     assert not resolved.coarse
 
 
+def test_a_contact_wide_beside_gel_that_hardly_gives_is_coarse() -> None:
+    nearly = GEL.model_copy(update={"poisson_ratio": 0.4999})
+    (solve,) = plan_visit(nearly, Sphere(diameter_mm=20.0), [Pose(depth_mm=0.6)], "draft").solves
+    wide, narrow = (
+        diagnose(_solution(solve.problem, _record()), 0, radius_mm, 1.0, 1.0, nearly)
+        for radius_mm in (6.0, 2.0)
+    )
+    assert wide.coarse
+    assert not narrow.coarse
+    # Lubrication theory without friction has 2.05 (a/h)² (ν − 0.49) more force.
+    assert wide.fz_error_n > 0.4 * 2.05 * 4 * 0.0099
+
+
+def test_a_shallow_press_of_compressible_gel_is_less_certain() -> None:
+    pose, thick = Pose(depth_mm=0.05), {"thickness_mm": 10.0, "pad_size_mm": (60.0, 60.0), "friction": 0.0}
+    for energy, off in (("isochoric", 0.09), ("stable-neo-hookean", 0.02)):
+        gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.3, strain_energy=energy, **thick)
+        found = solve_pose(gel, Sphere(diameter_mm=6.0), pose, "draft")
+        hertz_n = 4 * 0.3 / (3 * (1 - 0.3**2)) * 3**0.5 * 0.05**1.5
+        assert found.diagnostics.fz_error_n > off / 2 * hertz_n
+        assert -found.force_n[2] / hertz_n - 1 < 2 * found.diagnostics.fz_error_n / hertz_n + 0.03
+
+
 def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
     drag = [Pose(depth_mm=0.6, shear_x_mm=x_mm) for x_mm in (0.1, 0.2, 0.3, 0.2, 0.1)]
     problem = plan_visit(GEL, Sphere(), drag, "draft").solves[0].problem
     forces_n = [(fx, 0.0, -0.4) for fx in (0.0, 0.1, 0.2, 0.3, 0.1, 0.0)]
     solution = _solution(problem, *(_record(force_n=force) for force in forces_n))
-    shear = [diagnose(solution, k, 0.7, 1.0, 1.0).shear_error_n for k in range(1, 6)]
+    shear = [diagnose(solution, k, 0.7, 1.0, 1.0, GEL).shear_error_n for k in range(1, 6)]
     alone = _solution(problem, *[_record(force_n=(0.2, 0.0, -0.4))] * 6)
-    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, 1.0).shear_error_n)
+    assert shear[1] == pytest.approx(diagnose(alone, 2, 0.7, 1.0, 1.0, GEL).shear_error_n)
     assert shear[0] < shear[1] < shear[2] < shear[3] < shear[4] < 1.5 * shear[2]
 
 
@@ -97,6 +120,7 @@ def test_a_lean_and_a_twist_have_estimates() -> None:
             1.65,
             1.0,
             1.0,
+            gel,
         )
         for body, record in zip((upright, leaning), records, strict=True)
     )
@@ -148,7 +172,7 @@ def test_relief_that_the_mesh_itself_serves_makes_a_round_contact_less_certain()
     problem = plan_visit(GEL, bowl, [Pose(depth_mm=0.2)], "draft").solves[0].problem
     assert problem.is_round
     served, bridged = (
-        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0)
+        diagnose(_solution(own, _record(0.2)), 0, 0.7, 1.0, 1.0, GEL)
         for own in (problem, replace(problem, relief=bowl))
     )
     assert served.fz_error_n > 1.2 * bridged.fz_error_n

@@ -10,7 +10,7 @@ import pytest
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.newton import solve
 from gelgap.sim.path import ContactPath, PosePath
-from gelgap.sim.plan import SolvePlan, plan_solves
+from gelgap.sim.plan import SolvePlan, plan_solves, plan_visit
 from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.solution import cache_use, clear_cache, load_solution, store_solution
 
@@ -185,6 +185,17 @@ def test_a_trajectory_is_one_solve_that_remembers_its_way(cache: Path) -> None:
     assert states[3].force_n[0] < -0.1 * abs(states[3].force_n[2])
     assert plan.solve_key(1) == plan.solve_key(3)
     assert plan.solves[1].problem.waypoints_mm == plan.solves[0].problem.waypoints_mm
+
+
+def test_edges_matter_to_a_descent_if_they_do_to_its_deepest_pose() -> None:
+    gel, body = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5), Sphere(diameter_mm=10.0)
+    deep, shallow = (Pose(depth_mm=depth_mm, point_y_mm=2.5) for depth_mm in (1.5, 0.1))
+    alone = plan_visit(gel, body, [deep], "draft").solves[0].problem
+    assert alone.pad_mm is not None
+    for poses in ([shallow, deep], [deep, shallow], [deep, replace(shallow, shear_x_mm=0.1)]):
+        assert plan_visit(gel, body, poses, "draft").solves[0].problem.pad_mm == alone.pad_mm
+    with pytest.raises(ValueError, match="several trajectories"):
+        plan_visit(gel, body, [replace(deep, trajectory=1), replace(deep, trajectory=2)], "draft")
 
 
 def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:

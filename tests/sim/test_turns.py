@@ -184,6 +184,11 @@ def test_a_trajectory_lists_its_turns(tmp_path: Path) -> None:
         (Sphere(), {"roll_deg": (0.0, -91.0)}, "roll_deg"),
         (Cylinder(edge_radius_mm=0.3), {"roll_deg": (0.0, 20.0)}, "roll_deg"),
         (Cylinder(edge_radius_mm=0.3), {"roll_deg": (0.0, 14.0)}, "lifts the far side"),
+        (
+            Ellipsoid(diameters_mm=(6.0, 3.0, 2.0)),
+            {"depth_mm": 0.0, "roll_deg": (0.0, 10.0)},
+            "still reaches 0.129",
+        ),
     ],
 )
 def test_a_turn_that_is_not_served_is_refused(body: Shape, turn: dict, words: str) -> None:
