@@ -141,7 +141,7 @@ def test_a_shallow_pose_on_the_mesh_of_a_deep_one_is_coarse_and_alone_is_not() -
 
 def test_a_shallow_pose_of_a_ring_on_the_mesh_of_a_deep_one_is_coarse_too() -> None:
     problem = plan_visit(GEL, load_indenter("ring"), [Pose(depth_mm=0.4)], "draft").solves[0].problem
-    shallow, deep = (diagnose(_solution(problem, _record(d)), 0, 2.6, 1.0, 1.0) for d in (0.05, 0.4))
+    shallow, deep = (diagnose(_solution(problem, _record(d)), 0, 2.6, 1.0, 1.0, GEL) for d in (0.05, 0.4))
     assert shallow.coarse
     assert not deep.coarse
 
