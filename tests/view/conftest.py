@@ -37,7 +37,7 @@ def dents() -> PoseLibrary:
         "converged": np.ones(travels.shape, bool),
         "coarse": np.zeros(travels.shape, bool),
     }
-    numbers = {name: 0 * press for name in (*_GROWTH, *_LARGEST_OF)} | numbers
+    numbers = dict.fromkeys((*_GROWTH, *_LARGEST_OF), 0 * press) | numbers
     return PoseLibrary(plan, depths, displacement, -displacement[..., 2:], numbers)
 
 
