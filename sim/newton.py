@@ -137,7 +137,13 @@ class StaticNewton:
             start, change = self.command, command - self.command
             steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
-            if not self.active.any() and change[2] < 0:
+            if command[2] == 0:
+                # Out of contact the gel is as it was at first, whatever it went through: there is no way to follow.
+                qpos = states[-1].qpos.copy()
+                qpos[self.gel.indenter_dof] = command[:3]
+                self.return_to(replace(states[-1], qpos=qpos, command=command))
+                shares = shares[-1:]
+            elif not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
                 converged = (

@@ -23,7 +23,7 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 36
+_METHOD_VERSION = 37
 # A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
 _ROUND_SHARE = 0.98
 # Its patch is narrower than this share of it where it is a ring.
@@ -228,9 +228,12 @@ class ContactProblem:
         return self.indenter.turned(self.turns_deg[record]) if self.turns_deg else self.indenter
 
     def way(self, record: int) -> tuple[int, ...]:
-        """Return the waypoints that the indenter comes through on its way to one, which is the last."""
+        """Return the waypoints that the indenter comes through on its way to one, which is the last.
+
+        A way begins anew where the indenter is lifted to depth 0.
+        """
         parent = self.parents[record]
-        return (*(self.way(parent) if parent >= 0 else ()), record)
+        return (*(self.way(parent) if parent >= 0 > self.waypoints_mm[record][2] else ()), record)
 
     @cached_property
     def stands(self) -> tuple[tuple[AnyIndenter, float], ...]:

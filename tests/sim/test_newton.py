@@ -91,6 +91,19 @@ def test_a_way_ends_at_the_load_step_that_inverts_an_element(monkeypatch: pytest
     assert not after.converged
 
 
+@pytest.mark.usefixtures("coarse")
+def test_a_press_after_a_lift_is_the_press_alone() -> None:
+    lifted, again = (0.4, 0, 0), (0.4, 0, -0.2)
+    way, parents = ((0, 0, -0.2), (0.1, 0, -0.2), lifted, again, lifted, again), (-1, 0, 1, 2, -1, 4)
+    gel = NO_SLIP.model_copy(update={"friction": 0.3})
+    problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, parents)
+    *_, up, pressed, _, alone = solve(problem).records
+    assert abs(up.force_n[2]) < 1e-5
+    assert pressed.converged
+    np.testing.assert_array_equal(pressed.contact_force_n, alone.contact_force_n)
+    assert problem.way(3) == (2, 3)
+
+
 def ends(rates: list[float], furthest: float, number: int) -> np.ndarray:
     """Return how far from its end, 0, a linear iteration of those rates is after some accelerated iterations."""
     acceleration, place = AndersonAcceleration(), np.ones(len(rates))

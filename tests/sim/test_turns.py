@@ -100,6 +100,16 @@ def test_beyond_coulombs_bound_the_contact_turns_below_the_indenter() -> None:
     assert np.linalg.norm(turned[-1].force_n[:2]) < 0.02 * -pressed.force_n[2]
 
 
+@pytest.mark.usefixtures("coarse")
+def test_what_slides_wholly_is_dragged_the_way_it_goes_though_it_twists() -> None:
+    """Pressure and slip are symmetric about that way; friction along a load step's chords is a tenth off it."""
+    gel = NO_SLIP.model_copy(update={"friction": 0.05})
+    x, y, _ = solve_poses(
+        gel, Sphere(), (Pose(depth_mm=0.1, shear_x_mm=0.05, twist_deg=20.0),), "draft", ALONE
+    )[0].force_n
+    assert abs(y) < 0.03 * x
+
+
 def test_a_rolling_sphere_hardly_drags() -> None:
     way = {"shear_x_mm": 1.5 * math.radians(8.0)}
     rolled, dragged = (
