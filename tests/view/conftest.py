@@ -5,6 +5,7 @@ import pytest
 
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer, PoseLibrary, Sphere
+from gelgap.sim.library import _GROWTH, _LARGEST_OF
 from gelgap.sim.membrane import _SECTORS, table_radius_mm
 from gelgap.view.state import Configuration, LibraryRequest, LiveModel
 
@@ -36,6 +37,7 @@ def dents() -> PoseLibrary:
         "converged": np.ones(travels.shape, bool),
         "coarse": np.zeros(travels.shape, bool),
     }
+    numbers = dict.fromkeys((*_GROWTH, *_LARGEST_OF), 0 * press) | numbers
     return PoseLibrary(plan, depths, displacement, -displacement[..., 2:], numbers)
 
 
