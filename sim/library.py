@@ -340,8 +340,7 @@ class PoseLibrary:
         Raises
         ------
         ValueError
-            If the library does not reach the pose, or the pad's edge is too near, or the elastomer differs from the
-            library's in more than pad and modulus (of one that a spring mounts, in more than pad).
+            If the library does not reach the pose, the pad's edge is near, or the gel is another in more than modulus.
         """
         self.plan.ranges.check(pose)
         own = self.plan.elastomer
@@ -402,9 +401,8 @@ class PoseLibrary:
 
         Unlike for `state`, the pad's edges are left out, and of the elastomer all but the modulus.
         """
-        modulus = {"young_modulus_mpa": elastomer.young_modulus_mpa}
-        gel = self.plan.elastomer.model_copy(update=_WITHOUT_EDGES | modulus)
-        return self.state(gel, pose, axes_mm=grid_axes())
+        changed = _WITHOUT_EDGES | {"young_modulus_mpa": elastomer.young_modulus_mpa}
+        return self.state(self.plan.elastomer.model_copy(update=changed), pose, axes_mm=grid_axes())
 
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
@@ -476,8 +474,7 @@ class _Neighbours:
     def __init__(self, library: PoseLibrary, pose: Pose) -> None:
         self.library, self._pose = library, pose
         self.frame = CanonicalFrame(None, plane_rotation(math.atan2(pose.shear_y_mm, pose.shear_x_mm)))
-        roots = (0.0, *np.sqrt(library.depths_mm).tolist())
-        depths, by_depth = _weights(roots, math.sqrt(pose.depth_mm))
+        depths, by_depth = _weights((0.0, *np.sqrt(library.depths_mm).tolist()), math.sqrt(pose.depth_mm))
         place = library.plan.place_of(pose.depth_mm, pose.radius_mm)
         travels, by_travel = _weights(tuple(range(library.displacement_mm.shape[1])), place)
         self._at, self._weights = np.ix_(np.maximum(depths - 1, 0), travels), np.outer(by_depth, by_travel)
