@@ -34,7 +34,7 @@ from gelgap.sim.membrane import (
 from gelgap.sim.path import PosePath
 from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
 from gelgap.sim.relief import unbridged
-from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, is_interior, plane_rotation
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, is_interior, plane_rotation
 from gelgap.sim.solution import Solution, has_solution
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class PoseRanges:
             raise ValueError(
                 f"depths of a library from {self.shallowest_mm:g} to {self.deepest_mm:g} mm: must rise, from above 0"
             )
-        if self.travel_mm < 0 or self.travel_by_depth < 0:
+        if not (self.travel_mm >= 0 and self.travel_by_depth >= 0):
             raise ValueError(f"travel of a library = {self.travel_mm:g} mm: must be 0 or more")
 
     @classmethod
@@ -98,9 +98,7 @@ class PoseRanges:
         if pose.depth_mm > self.deepest_mm + 1e-9:
             raise ValueError(f"depth_mm = {pose.depth_mm:g}: the library ends at {self.deepest_mm:g} mm")
         if any(pose.turn_deg):
-            raise ValueError(
-                "twist_deg and roll_deg: a library has no poses that turn; solve this one by itself"
-            )
+            raise ValueError("twist_deg, roll_deg: a library serves no turns; solve this pose by itself")
         farthest_mm = self.farthest_mm(pose.depth_mm)
         if pose.radius_mm > farthest_mm + 1e-6 and pose.depth_mm > 0:
             raise ValueError(
@@ -126,6 +124,11 @@ class LibraryPlan:
             raise ValueError(
                 f"indenter ({self.indenter.label}): a library serves bodies of revolution; solve its poses singly"
             )
+        deepest, farthest = self.ranges.deepest_mm, self.ranges.farthest_mm(self.ranges.deepest_mm)
+        try:
+            Scene(self.elastomer, self.indenter, self.quality, Sharing()).check(Pose(deepest, farthest))
+        except ValueError as error:
+            raise ValueError(f"deepest_mm = {deepest:g}, farthest drag {farthest:g} mm: {error}") from None
 
     @cached_property
     def depths_mm(self) -> tuple[float, ...]:
@@ -222,7 +225,8 @@ class LibraryPlan:
             errors = [library.errors_of(plan, solutions, picture) for plan in plans.values()]
             table = pd.concat(errors, ignore_index=True) if errors else None
             library = replace(library, held_out=table, solves=len(solutions))
-            if library.holds or len(solutions) + 2 > MOST_SOLVES or not table["converged"].any():
+            is_within = None if table is None else library.errors["within_bounds"]
+            if is_within is not False or len(solutions) + 2 > MOST_SOLVES:
                 return library
             worst = max(plans, key=lambda between: _excess(library, between))
             depth = plans.pop(worst).poses[0].depth_mm
@@ -318,8 +322,7 @@ class PoseLibrary:
         for name, power in _GROWTH.items():
             depth = depths_mm.reshape(-1, *(1,) * (stacked[name].ndim - 1))
             numbers[name] = stacked[name] / depth**power
-        tables = stacked["displacement_mm"], stacked["pressure_mpa"]
-        return cls(plan, depths_mm, *tables, numbers)
+        return cls(plan, depths_mm, stacked["displacement_mm"], stacked["pressure_mpa"], numbers)
 
     def state(
         self,
@@ -337,9 +340,14 @@ class PoseLibrary:
         Raises
         ------
         ValueError
-            If the pose is deeper or further sideways than the library, or so near the pad's edge that this matters.
+            If the library does not reach the pose, the pad's edge is near, or the gel is another in more than modulus.
         """
         self.plan.ranges.check(pose)
+        own = self.plan.elastomer
+        free = {"pad_size_mm"} if own.mount_stiffness_n_per_mm else {"pad_size_mm", "young_modulus_mpa"}
+        for name, value in elastomer:
+            if name not in free and value != getattr(own, name):
+                raise ValueError(f"{name} = {value}: must be the library's, {getattr(own, name)}")
         if not is_interior(elastomer, self.plan.indenter, pose):
             raise ValueError(
                 f"contact point ({pose.point_x_mm:g}, {pose.point_y_mm:g}) mm: a library serves points that the pad's "
@@ -361,11 +369,10 @@ class PoseLibrary:
         force_n = modulus * near.frame.on_sensor(near.value("force_n"))
         found = {name: near.flags(name).max().item() for name in _LARGEST_OF}
         found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
-        # Estimates of the mesh's errors with those that were measured, unless none was held out.
-        off_n, off_mm = 0.0, 0.0
-        if self.held_out is not None:
-            off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
-            off_mm = self.errors["membrane_rms_um"] / 1000
+        # Estimates of the mesh's errors with those that were measured, if any were.
+        measured = {} if self.held_out is None else self.errors
+        off_n = measured.get("force_rms_percent", 0.0) / 100 * float(np.linalg.norm(force_n))
+        off_mm = measured.get("membrane_rms_um", 0.0) / 1000
         return LibraryPose(
             *axes_mm,
             displacement_mm,
@@ -389,17 +396,13 @@ class PoseLibrary:
             modulus_mpa=modulus,
         )
 
-    @cached_property
-    def roots(self) -> tuple[float, ...]:
-        """The roots of the depths, and of 0, between which poses are interpolated."""
-        return (0.0, *np.sqrt(self.depths_mm).tolist())
-
     def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
         """Return the membrane of a pose on the grid of `grid_axes`.
 
-        Unlike for `state`, the contact point may be near the pad's edge, which is left out.
+        Unlike for `state`, the pad's edges are left out, and of the elastomer all but the modulus.
         """
-        return self.state(elastomer.model_copy(update=_WITHOUT_EDGES), pose, axes_mm=grid_axes())
+        changed = _WITHOUT_EDGES | {"young_modulus_mpa": elastomer.young_modulus_mpa}
+        return self.state(self.plan.elastomer.model_copy(update=changed), pose, axes_mm=grid_axes())
 
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
@@ -433,29 +436,29 @@ class PoseLibrary:
 
     @cached_property
     def errors(self) -> dict[str, Any]:
-        """What the manifest says of it: solves, held-out poses, and the errors on them as rms and largest."""
+        """What the manifest says: solves, and errors on the held-out poses that converge, rms and largest, if any."""
         table = self.held_out[self.held_out["converged"]]
-        force_rms, membrane_rms_um = _rms(table["force_share"]), _rms(table["membrane_um"])
-        within_bounds = force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM
         errors = {
             "solves": self.solves,
             "depths_mm": self.depths_mm.tolist(),
             "held_out_poses": len(table),
-            "held_out_folded": len(self.held_out) - len(table),
+            "held_out_unconverged": len(self.held_out) - len(table),
+            "within_bounds": None,
+        }
+        if table.empty:
+            LOG.warning("no held-out pose of a library converged: estimates are its own solves' alone")
+            return errors
+        force_rms, membrane_rms_um = _rms(table["force_share"]), _rms(table["membrane_um"])
+        errors |= {
             "force_rms_percent": 100 * force_rms,
             "force_largest_percent": 100 * float(table["force_share"].max()),
             "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
-            "within_bounds": len(table) > 0 and within_bounds,
+            "within_bounds": force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM,
         }
         if "picture_codes" in table:
             errors["picture_rms_codes"] = _rms(table["picture_codes"])
         return errors
-
-    @property
-    def holds(self) -> bool:
-        """Whether the errors on held-out poses are within the bounds; so they are if none was held out."""
-        return self.held_out is None or self.errors["within_bounds"]
 
 
 def _rms(values: Any) -> float:
@@ -471,7 +474,7 @@ class _Neighbours:
     def __init__(self, library: PoseLibrary, pose: Pose) -> None:
         self.library, self._pose = library, pose
         self.frame = CanonicalFrame(None, plane_rotation(math.atan2(pose.shear_y_mm, pose.shear_x_mm)))
-        depths, by_depth = _weights(library.roots, math.sqrt(pose.depth_mm))
+        depths, by_depth = _weights((0.0, *np.sqrt(library.depths_mm).tolist()), math.sqrt(pose.depth_mm))
         place = library.plan.place_of(pose.depth_mm, pose.radius_mm)
         travels, by_travel = _weights(tuple(range(library.displacement_mm.shape[1])), place)
         self._at, self._weights = np.ix_(np.maximum(depths - 1, 0), travels), np.outer(by_depth, by_travel)

@@ -84,15 +84,16 @@ class GenerationReport:
                 "declare a wider range (--range, or force_range_n) or change the gel"
             )
         for name, errors in self.interpolation.items():
+            if not errors["held_out_poses"]:
+                lines.append(f"{name}: poses interpolated; no held-out pose converged to tell their error")
+                continue
             told = (
                 "{}: poses interpolated from {solves} solves; on {held_out_poses} held-out poses, each solved by "
                 "itself, force off by {force_rms_percent:.1f} % rms, membrane by {membrane_rms_um:.1f} µm, picture by "
                 "{picture_rms_codes:.1f} of 255"
             ).format(name, **errors)
             if not errors["within_bounds"]:
-                told += (
-                    ": more than a library promises (2 %, 4 µm); --set interpolated=false solves each pose"
-                )
+                told += ": more than a library promises (2 %, 4 µm): --set interpolated=false solves each"
             lines.append(told)
         return "\n".join(lines)
 

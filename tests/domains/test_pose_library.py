@@ -10,8 +10,8 @@ from distributed import Client, LocalCluster
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelgap.domains import estimate, make_recipes, open_domain
-from gelgap.domains.generation.generate import generate_recipes
+from gelgap.domains import TactileSensor, estimate, make_recipes, open_domain
+from gelgap.domains.generation.generate import GenerationReport, generate_recipes
 from gelgap.domains.generation.plan import Contacts
 from gelgap.sim import (
     Edge,
@@ -139,6 +139,33 @@ def test_a_pose_outside_is_refused(checked: PoseLibrary, pose: Pose, message: st
         checked.state(GEL, pose)
 
 
+@pytest.mark.parametrize(
+    "field", [{"friction": 0.3}, {"thickness_mm": 2.0}, {"mount_stiffness_n_per_mm": 5.0}]
+)
+def test_another_gel_is_refused(checked: PoseLibrary, field: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(field))} = .*: must be the library's"):
+        checked.state(GEL.model_copy(update=field), Pose(depth_mm=0.07))
+
+
+def test_where_no_held_out_pose_converges_estimates_are_the_librarys_own_and_that_is_said(
+    plan: LibraryPlan, checked: PoseLibrary, caplog: pytest.LogCaptureFixture
+) -> None:
+    solutions = {solve.key: solve.run() for solve in plan.solves}
+    for held_out in plan.held_out:
+        for solve in held_out.solves:
+            failed = tuple(replace(one, converged=False) for one in solutions[solve.key].records)
+            solutions[solve.key] = replace(solutions[solve.key], records=failed)
+    unmeasured = plan.served_by(solutions)
+    assert unmeasured.errors["held_out_unconverged"] == len(checked.held_out)
+    assert "no held-out pose of a library converged" in caplog.text
+    pose = Pose(depth_mm=0.07)
+    found, own = (one.state(GEL, pose).diagnostics for one in (unmeasured, replace(checked, held_out=None)))
+    assert found == own
+    assert found.fz_error_n > 0
+    report = GenerationReport(Path(), ("a",), (), *(0,) * 7, 1.0, {"a": unmeasured.errors})
+    assert "a: poses interpolated; no held-out pose converged" in str(report)
+
+
 def test_where_the_error_is_too_large_a_depth_is_added(
     plan: LibraryPlan, checked: PoseLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,6 +228,10 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
 def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:
     with pytest.raises(ValueError, match=r"indenter \(edge, .*\): a library serves bodies of revolution"):
         LibraryPlan(GEL, Edge(), RANGES)
+    with pytest.raises(ValueError, match=r"deepest_mm = 5, .* must be in \[0, 1.5\] mm"):
+        TactileSensor(GEL, deepest_mm=5)
+    with pytest.raises(ValueError, match=r"farthest drag 4 mm: .* at most the pad's thickness, 3 mm"):
+        TactileSensor(GEL, farthest_mm=4)
     for fields in (
         {"columns": ("traction",)},
         {"indenter": Edge()},

@@ -144,6 +144,8 @@ def test_a_shallow_pose_of_a_ring_on_the_mesh_of_a_deep_one_is_coarse_too() -> N
     shallow, deep = (diagnose(_solution(problem, _record(d)), 0, 2.6, 1.0, 1.0, GEL) for d in (0.05, 0.4))
     assert shallow.coarse
     assert not deep.coarse
+    assert deep.contact_radius_error_mm > problem.cell_mm / 2
+    assert 0.02 < shallow.membrane_error_mm / 0.05 < 0.06
 
 
 def test_a_membrane_that_lies_on_itself_is_folded() -> None:
