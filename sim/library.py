@@ -342,20 +342,40 @@ class PoseLibrary:
         ValueError
             If the library does not reach the pose, the pad's edge is near, or the gel is another in more than modulus.
         """
+        self._check_gel(elastomer)
         self.plan.ranges.check(pose)
-        own = self.plan.elastomer
-        free = {"pad_size_mm"} if own.mount_stiffness_n_per_mm else {"pad_size_mm", "young_modulus_mpa"}
-        for name, value in elastomer:
-            if name not in free and value != getattr(own, name):
-                raise ValueError(f"{name} = {value}: must be the library's, {getattr(own, name)}")
         if not is_interior(elastomer, self.plan.indenter, pose):
             raise ValueError(
                 f"contact point ({pose.point_x_mm:g}, {pose.point_y_mm:g}) mm: a library serves points that the pad's "
                 "edges are too far from to matter; solve this pose by itself"
             )
-        indenter = self.plan.indenter
         if axes_mm is None:
-            axes_mm = grid_axes(covered_extent_mm(elastomer, indenter, pose, half_extent_mm))
+            axes_mm = grid_axes(covered_extent_mm(elastomer, self.plan.indenter, pose, half_extent_mm))
+        return self._interpolated(elastomer, pose, axes_mm)
+
+    def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
+        """Return the membrane of a pose on the grid of `grid_axes`.
+
+        Unlike for `state`, the pad's edges are left out, and of the elastomer all but the modulus.
+        """
+        self.plan.ranges.check(pose)
+        return self._interpolated(elastomer, pose, grid_axes())
+
+    def _check_gel(self, elastomer: Elastomer) -> None:
+        """Refuse a gel that differs from the library's in more than size, or modulus and mount by one factor."""
+        own, free = self.plan.elastomer, ("pad_size_mm", "young_modulus_mpa", "mount_stiffness_n_per_mm")
+        for name, value in elastomer:
+            if name not in free and value != getattr(own, name):
+                raise ValueError(f"{name} = {value}: must be the library's, {getattr(own, name)}")
+        mounts = [(gel.mount_stiffness_n_per_mm or 0.0) / gel.young_modulus_mpa for gel in (elastomer, own)]
+        if not math.isclose(*mounts, rel_tol=1e-9):
+            raise ValueError(
+                f"mount_stiffness_n_per_mm = {elastomer.mount_stiffness_n_per_mm}: must be the library's, "
+                f"{own.mount_stiffness_n_per_mm}, and grow as the modulus does"
+            )
+
+    def _interpolated(self, elastomer: Elastomer, pose: Pose, axes_mm: tuple[Floats, Floats]) -> LibraryPose:
+        indenter = self.plan.indenter
         if pose.depth_mm == 0:
             return LibraryPose.untouched(*axes_mm)
         near = _Neighbours(self, pose)
@@ -395,14 +415,6 @@ class PoseLibrary:
             neighbours=near,
             modulus_mpa=modulus,
         )
-
-    def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
-        """Return the membrane of a pose on the grid of `grid_axes`.
-
-        Unlike for `state`, the pad's edges are left out, and of the elastomer all but the modulus.
-        """
-        changed = _WITHOUT_EDGES | {"young_modulus_mpa": elastomer.young_modulus_mpa}
-        return self.state(self.plan.elastomer.model_copy(update=changed), pose, axes_mm=grid_axes())
 
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None

@@ -147,6 +147,19 @@ def test_another_gel_is_refused(checked: PoseLibrary, field: dict[str, float]) -
         checked.state(GEL.model_copy(update=field), Pose(depth_mm=0.07))
 
 
+def test_a_mount_that_grows_with_the_modulus_is_served(checked: PoseLibrary) -> None:
+    soft, hard = (
+        GEL.model_copy(
+            update={"young_modulus_mpa": modulus_mpa, "mount_stiffness_n_per_mm": 10 * modulus_mpa}
+        )
+        for modulus_mpa in (0.3, 0.7)
+    )
+    mounted, pose = replace(checked, plan=replace(checked.plan, elastomer=soft)), Pose(depth_mm=0.07)
+    np.testing.assert_allclose(
+        mounted.state(hard, pose).force_n * 0.3, mounted.state(soft, pose).force_n * 0.7
+    )
+
+
 def test_where_no_held_out_pose_converges_estimates_are_the_librarys_own_and_that_is_said(
     plan: LibraryPlan, checked: PoseLibrary, caplog: pytest.LogCaptureFixture
 ) -> None:
