@@ -134,6 +134,8 @@ def _sentence(detail: Any, model: type[BaseModel] | None) -> str:
     is_table = isinstance(detail["input"], dict | list | tuple) and "{" in repr(detail["input"])
     has_value = not is_table and detail["type"] not in ("missing", "extra_forbidden")
     message = detail["msg"].removeprefix(_FROM_VALUE_ERROR)
+    if detail["type"] == "tuple_type":
+        message = "must be several values with commas between"
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]
     if detail["type"] == "extra_forbidden" and model and (near := closest_name(field, model.model_fields)):

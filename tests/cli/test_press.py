@@ -52,3 +52,8 @@ def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused
     assert "3 × 3 × 12 mm, the convex end of a body of 16 × 16 × 16 mm" in message
     assert "touches by its top (+z, of glTF +y)" in message
     assert "flip: a box has none" in refused("press", "--indenter", "box", "--set", "flip=true")
+
+
+def test_a_size_without_commas_is_told_how_it_is_written(refused: Callable[..., str]) -> None:
+    said = refused("press", "--indenter", "box", "--set", "size_mm=3 2")
+    assert "size_mm = '3 2': must be several values with commas between" in said
