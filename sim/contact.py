@@ -155,8 +155,8 @@ class FrictionalContacts:
         self._held |= self._landed
         held = self._held[nodes]
         tangents = data.contact.frame.reshape(-1, 3, 3)[:, 1:]
-        # Slip in a turn θ goes along an arc. The chord as the body saw it at first has the resultant of the arc's end,
-        # which else is θ off: by 60° on a drag Fy is 3 % off twelve times as many legs' then, else 32 %.
+        # Slip in a load step that turns goes along an arc. Its chord counts in the body's axes at the step's start: a
+        # ball that twists by 60° while it is dragged has Fy within 3 % of twelve legs' so, and else 32 % off.
         slip_mm = (place_mm - self._anchor_mm)[nodes] @ self._turned
         slip_mm = np.einsum("nij,nj->ni", tangents, slip_mm) * self._sign
         slip_mm[~held] = 0.0

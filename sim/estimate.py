@@ -45,13 +45,11 @@ _VARIANCE_PER_CAUSE = (
     (0.0, 0.0, 0.206, 0.0, 0.0304),
 )
 # A mesh between lines has its cells anywhere, not in the middle of each patch, as rings of cells have under a ring: a
-# torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once). A ball by its surface on a mesh
-# between lines is off by 1.2 % rms at `draft`, 0.7 at `standard`; two balls have up to 2.2 and 1.2 % too much, one
-# ring of waves that the mesh serves 1.0 at `standard`. A share of the force, times a cell over the patch's radius, and
-# over its square where a mesh is shared with deeper poses: a ridge that is one to two cells wide has 25 % too little.
+# torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once), a ball by its surface 1.2 % rms
+# at `draft`, 0.7 at `standard`, two balls up to 2.2 and 1.2 %, one ring of waves 1.0 at `standard`. A share of force,
+# times a cell over the patch's radius, squared where a mesh is made for deeper poses: a ridge of one to two cells has
+# 25 % too little. The membrane of a ring is off by 1.7 % of the depth, rms of six, where such a share of it says 2.2.
 _BETWEEN_LINES = 0.05
-# A ring's rims are known to half a cell. Its membrane is off by 1.7 % of the depth, rms of six presses at `draft`
-# beside `standard`, where this share, times a cell over the patch's own radius, says 2.2 %.
 # The outline of a contact that lies across the lines passes between vertices: boxes by 5 to 45° near a pad's edges have
 # up to 6 % more or less force than along the lines, 2 % rms at `draft`. A share of the force, times a cell over half
 # the size of the box around it, where the contact is narrower than this share of the box.
@@ -165,11 +163,10 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    off_lines = _off_lines(problem, record)
-    variance[:2] += off_lines**2
+    variance[:2] += _off_lines(problem, record) ** 2
     if problem.is_ring and radius_mm:
         variance[2] += (problem.cell_mm / 2 / radius_mm) ** 2
-        variance[3] += off_lines * _BETWEEN_LINES * problem.cell_mm / problem.meshed_radius_mm
+        variance[3] += (_BETWEEN_LINES * problem.cell_mm / _patch_mm(problem, record)) ** 2
     if problem.covers_pad:
         variance[0] += _COVERED**2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
@@ -202,17 +199,21 @@ def diagnose(
 
 def _off_lines(problem: ContactProblem, record: Record) -> float:
     """Return by what share the force may be off because the contact does not lie along the lines of the mesh."""
-    cell_mm = problem.cell_mm
     if problem.indenter.convex:
-        is_across = problem.narrowness < _ACROSS_SHARE
-        return _ACROSS_LINES * cell_mm / math.sqrt(math.prod(problem.half_cut_mm)) if is_across else 0.0
+        if problem.narrowness >= _ACROSS_SHARE:
+            return 0.0
+        return _ACROSS_LINES * problem.cell_mm / math.sqrt(math.prod(problem.half_cut_mm))
     if problem.is_round and not problem.is_ring and problem.relief is not None:
         return 0.0
-    patch_mm = meshed_mm = problem.meshed_radius_mm
-    if problem.is_ring or not (problem.is_round or problem.turns_deg):
-        own_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
-        patch_mm = min(meshed_mm, max(own_mm, cell_mm))
-    return _BETWEEN_LINES * cell_mm * meshed_mm / patch_mm**2
+    return _BETWEEN_LINES * problem.cell_mm * problem.meshed_radius_mm / _patch_mm(problem, record) ** 2
+
+
+def _patch_mm(problem: ContactProblem, record: Record) -> float:
+    """Return the radius of a record's own patch, at least a cell; that of the mesh where it is one disc, or turns."""
+    if not problem.is_ring and (problem.is_round or problem.turns_deg):
+        return problem.meshed_radius_mm
+    own_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
+    return min(problem.meshed_radius_mm, max(own_mm, problem.cell_mm))
 
 
 def _twist_off(cells: float, factor: float) -> float:

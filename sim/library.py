@@ -57,7 +57,6 @@ _SLIDES_FROM = 1.5
 _GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "errors": 0.0}
 _GROWTH |= {"elastic_energy_mj": 2.5, "slip_mm": 1.0, "sticking_fraction": 0.0, "min_volume_ratio": 0.0}
 _LARGEST_OF = ("residual", "iterations", "imbalance", "coulomb_excess", "tension")
-_WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
 
 
 @dataclass(frozen=True)
@@ -192,7 +191,7 @@ class LibraryPlan:
 
     def _plan(self, contacts_mm: Sequence[tuple[float, float]]) -> SolvePlan:
         poses = tuple(Pose(depth_mm=depth, shear_x_mm=round(float(t), 6)) for depth, t in contacts_mm)
-        gel = self.elastomer.model_copy(update=_WITHOUT_EDGES)
+        gel = self.elastomer.model_copy(update={"pad_size_mm": (100.0, 100.0)})  # without edges
         plan = plan_solves(gel, self.indenter, PosePath("library", poses), self.quality)
         plan = replace(
             plan, solves=tuple(replace(own, problem=unbridged(own.problem)) for own in plan.solves)
@@ -387,7 +386,7 @@ class PoseLibrary:
         folded = is_folded(*axes_mm, displacement_mm)
         modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
         force_n = modulus * near.frame.on_sensor(near.value("force_n"))
-        found = {name: near.flags(name).max().item() for name in _LARGEST_OF}
+        found = {name: near.each(name).max().item() for name in _LARGEST_OF}
         found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
         # Estimates of the mesh's errors with those that were measured, if any were.
         measured = {} if self.held_out is None else self.errors
@@ -400,7 +399,7 @@ class PoseLibrary:
             force_n=force_n,
             torque_n_mm=modulus * near.frame.on_sensor(near.value("torque_n_mm")),
             contact_radius_mm=float(near.value("contact_radius_mm")),
-            converged=bool(near.flags("converged").all()) and not folded,
+            converged=bool(near.each("converged").all()) and not folded,
             diagnostics=Diagnostics(
                 **found,
                 sticking_fraction=float(near.value("sticking_fraction").clip(0.0, 1.0)),
@@ -409,7 +408,7 @@ class PoseLibrary:
                 shear_error_n=math.hypot(modulus * errors[1], off_n),
                 contact_radius_error_mm=float(errors[2]),
                 membrane_error_mm=math.hypot(errors[3], off_mm),
-                coarse=bool(near.flags("coarse").any()),
+                coarse=bool(near.each("coarse").any()),
                 folded=folded,
             ),
             neighbours=near,
@@ -510,8 +509,8 @@ class _Neighbours:
         """How far (3,) the indenter has come, in the frame of the drag."""
         return self.value("mount_mm") + np.array([self._pose.radius_mm, 0.0, -self._pose.depth_mm])
 
-    def flags(self, name: str) -> NDArray[np.bool_]:
-        """Return what is so of each of the equilibria."""
+    def each(self, name: str) -> NDArray[Any]:
+        """Return a number, or whether something is so, of each of the equilibria."""
         return self.library.numbers[name][self._at]
 
 

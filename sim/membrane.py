@@ -44,7 +44,7 @@ _FINE_SPACING_MM = 0.05
 _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
-_INSET_MM = 1e-9  # by which points are moved within the vertices' hull, straight but for rounding
+_INSET_MM = 1e-9  # points beyond the vertices' hull are moved this far inside: rounding bends its edges
 # A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
 _FADING_CELLS = 6.0
 

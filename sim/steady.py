@@ -115,9 +115,9 @@ def solve_steadily(
 ) -> Solution:
     """Solve a problem with its slides shortened where they are steady, or as it is where they are not.
 
-    A slide that is not steady where it was to be is solved anew, twice as far, at once: the slides that end near other
-    edges wait for that, and what is the same then, such as a press, is not solved again. One that slides wholly there
-    and still changes does so as its vertices come and go, however far it is: the change is its stated error.
+    The first slide that is not steady where it was to be ends a pass: in the next, slides are twice as long, and what
+    both have in common, such as the press, is not solved again. One that slides wholly twice and still changes does so
+    as its vertices come and go, however far it is: the change is its stated error.
     """
     travels, slid_wholly, largest = _TRAVELS_TO_SLIP, False, _largest_change(problem)
     solved: dict[ContactProblem, Solution] = {}
@@ -132,7 +132,7 @@ def solve_steadily(
             solutions.append(solved[own])
             looks = slide.looks(solutions)
             slides_wholly = all(look.sticking <= _STICKING_SHARE for look in looks)
-            if not slides_wholly or not (slid_wholly or all(look.change <= largest for look in looks)):
+            if not (slides_wholly and (slid_wholly or all(look.change <= largest for look in looks))):
                 break
         else:
             return slide.moved(solutions)

@@ -170,8 +170,8 @@ class Surface(Shape):
             if path.suffix.lower() in MAP_SUFFIXES:
                 values = _map_values(path)
                 step_mm = 1.0 if step_mm is None and path.suffix.lower() == ".npy" else step_mm
-                for name, given, most in (("spacing_mm", spacing_mm, 1), ("step_mm", step_mm, 1000)):
-                    least = -most if name == "step_mm" else 0
+                bounds = ("spacing_mm", spacing_mm, 0, 1), ("step_mm", step_mm, -1000, 1000)
+                for name, given, least, most in bounds:
                     if not isinstance(given, float | int) or not least <= given <= most or given == 0:
                         raise ValueError(f"{name} = {given!r}: a map needs it, {least} to {most} mm, not 0")
                 return cls.of(-step_mm * values, spacing_mm, **fields)

@@ -46,13 +46,13 @@ _FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|kraft|wrench|ft|load|f[\W_]?[xyzn]
 _BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 
 UNITS = {
-    "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3}
-    | {"g": 9.80665e-3, "kg": 9.80665, "lb": 4.4482216, "oz": 0.27801385},
-    "N·mm": {"N·mm": 1, "N·m": 1e3, "N·cm": 10, "mN·m": 1, "mN·mm": 1e-3, "kg·cm": 98.0665}
-    | {"in·lb": 112.98483, "lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
+    "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3,
+          "g": 9.80665e-3, "kg": 9.80665, "lb": 4.4482216, "oz": 0.27801385},
+    "N·mm": {"N·mm": 1, "N·m": 1e3, "N·cm": 10, "mN·m": 1, "mN·mm": 1e-3, "kg·cm": 98.0665,
+             "in·lb": 112.98483, "lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
     "mm": {"mm": 1, "cm": 10, "m": 1e3, "µm": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
     "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
-}
+}  # fmt: skip
 """What one of each unit is in gelgap's."""
 _LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
 _LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
