@@ -177,6 +177,7 @@ class DomainRecipe(Settings):
                 "tractions; solve each pose"
             )
         self.sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
+        self.sensor.camera.farthest_slope(self.size_px)  # or a ValueError
         return self
 
     @property

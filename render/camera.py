@@ -1,6 +1,6 @@
 """The camera inside the sensor: pinhole, lens, and what its pixels do to light."""
 
-from math import atan, degrees, radians, tan
+from math import atan, degrees, hypot, radians, tan
 from typing import Annotated
 
 import numpy as np
@@ -98,12 +98,42 @@ class Camera(Settings):
         """Return (n, 2): where the rays through pixels' centres meet the plane of the undeformed membrane."""
         pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
         distorted = (pixels - np.asarray(size_px) / 2) / self.focal_length_px(size_px[0])
+        slope = self._undistorted(np.linalg.norm(distorted, axis=1, keepdims=True))
+        return np.asarray(self.position_mm[:2]) - self.position_mm[2] * distorted / self._stretch(slope**2)
+
+    def _stretch(self, r2: np.ndarray) -> np.ndarray:
+        """Return by how much the lens stretches slopes of rays against the optical axis, given their squares."""
         k1, k2 = self.radial_distortion
-        slope = distorted.copy()
-        for _ in range(10):
-            r2 = (slope**2).sum(1, keepdims=True)
-            slope = distorted / (1 + r2 * (k1 + r2 * k2))
-        return np.asarray(self.position_mm[:2]) - self.position_mm[2] * slope
+        return 1 + r2 * (k1 + r2 * k2)
+
+    def _undistorted(self, distorted: np.ndarray) -> np.ndarray:
+        """Return the slopes that the lens shows as these, by Newton's method."""
+        k1, k2 = self.radial_distortion
+        slope = distorted
+        for _ in range(20):
+            r2 = slope**2
+            slope = slope - (slope * self._stretch(r2) - distorted) / (1 + r2 * (3 * k1 + 5 * r2 * k2))
+        return slope
+
+    def farthest_slope(self, size_px: tuple[int, int]) -> float:
+        """Return the slope of the ray through the picture's corner.
+
+        Raises
+        ------
+        ValueError
+            If the lens shows no ray there: what lies farther out would come to lie nearer to the picture's middle.
+        """
+        corner = 0.5 * hypot(*size_px) / self.focal_length_px(size_px[0])
+        with np.errstate(all="ignore"):
+            slope = float(self._undistorted(np.float64(corner)))
+        k1, k2 = self.radial_distortion
+        r2 = np.linspace(0, slope**2, 100)
+        if slope > 0 and (1 + r2 * (3 * k1 + 5 * r2 * k2) > 0).all():
+            return slope
+        raise ValueError(
+            f"camera.radial_distortion = {self.radial_distortion}: folds the picture over before its corner; at this "
+            f"field of view k1 must be at least {-4 / 27 / corner**2:.3g} if k2 is 0"
+        )
 
     def plane_of_picture_mm(self, size_px: tuple[int, int]) -> np.ndarray:
         """Return (h w, 2): which place of the undeformed membrane each pixel of a picture sees, row by row."""
@@ -114,6 +144,6 @@ class Camera(Settings):
         """Return (…, 2) picture coordinates of (…, 3) points; pixel (column, row) has its centre at +0.5."""
         relative = np.asarray(points_mm, float) - self.position_mm
         slope = relative[..., :2] / relative[..., 2:]
-        r2 = (slope**2).sum(-1, keepdims=True)
-        k1, k2 = self.radial_distortion
-        return slope * (1 + r2 * (k1 + r2 * k2)) * self.focal_length_px(size_px[0]) + np.asarray(size_px) / 2
+        # Out of the picture the lens may fold: from its corner on, slopes are stretched alike.
+        r2 = np.minimum((slope**2).sum(-1, keepdims=True), self.farthest_slope(size_px) ** 2)
+        return slope * self._stretch(r2) * self.focal_length_px(size_px[0]) + np.asarray(size_px) / 2

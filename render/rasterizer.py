@@ -28,7 +28,8 @@ INSTALL_HINT = (
     "install the system package libosmesa6 (Debian/Ubuntu: apt-get install libosmesa6), "
     "or libegl1 libegl-mesa0 libgl1-mesa-dri for EGL"
 )
-_LOCK = threading.RLock()
+# Renderers in several threads share rasterisers.
+LOCK = threading.RLock()
 _CACHED_RASTERIZERS = 8
 # What stands in pixels that do not see the membrane.
 NOWHERE_MM = 1e6
@@ -201,9 +202,11 @@ class Rasterizer:
         self._renderer._program_cache = ShaderProgramCache(shader_dir=str(asset_path("shaders")))
         self._framebuffer, self._renderbuffers = self._float_framebuffer(width, height)
         distortion = np.asarray(camera.radial_distortion, np.float32)
+        farthest = camera.farthest_slope(size_px)
         # pyrender's own light loop is not used: its hook hands over the lens, and its target is our float buffer.
-        self._renderer._bind_lighting = lambda scene, program, node, flags: program.set_uniform(
-            "radial_distortion", distortion
+        self._renderer._bind_lighting = lambda scene, program, node, flags: (
+            program.set_uniform("radial_distortion", distortion),
+            program.set_uniform("farthest_slope", farthest),
         )
         self._renderer._configure_forward_pass_viewport = self._bind_target
         # The first picture compiles the program and hands over camera, lens and all else that stays; others only draw.
@@ -241,14 +244,14 @@ class Rasterizer:
     def geometry(self, positions_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 2) float32: rest x and y in mm of the membrane in each pixel; `NOWHERE_MM` where it is not.
 
-        `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call; the same positions
-        again are not rastered again.
+        `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call, so that `LOCK` is held
+        while it is read; the same positions again are not rastered again.
         """
         if self._key is not None and np.array_equal(self._key, positions_mm):
             return self._geometry[::-1]
         gl = self._gl
         self._vertices[:, :3] = positions_mm.reshape(-1, 3)
-        with _LOCK:
+        with LOCK:
             self._context.make_current()
             gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
             gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
@@ -266,7 +269,7 @@ class Rasterizer:
     def delete(self) -> None:
         """Free what this rasteriser holds in the OpenGL context."""
         gl = self._gl
-        with _LOCK:
+        with LOCK:
             self._context.make_current()
             self._renderer.delete()
             gl.glDeleteFramebuffers(1, [self._framebuffer])
@@ -280,7 +283,7 @@ _rasterizers: dict[tuple[int, Camera, Lattice, tuple[int, int]], Rasterizer] = {
 def rasterizer_for(camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> Rasterizer:
     """Return this process's rasteriser for a camera, grid and picture size; a few are kept, the oldest is freed."""
     key = (os.getpid(), camera, lattice, size_px)
-    with _LOCK:
+    with LOCK:
         if key not in _rasterizers:
             for other in [other for other in _rasterizers if other[0] != os.getpid()]:
                 del _rasterizers[other]  # belongs to the parent's context: never touch it from here

@@ -15,7 +15,7 @@ from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.markers import marker_cells, paint_markers
 from gelgap.render.normal_table import NormalTable, TableShare
-from gelgap.render.rasterizer import NOWHERE_MM, rasterizer_for
+from gelgap.render.rasterizer import LOCK, NOWHERE_MM, rasterizer_for
 from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
@@ -129,7 +129,7 @@ class MembraneRenderer:
         if sensor.table_share == 0 or illumination != sensor.illumination:
             return
         surface = self._surface_on_lattice(self._flat, "reference")
-        flat = self._gather(self._geometry(surface), self._radiance(surface))
+        flat = self._seen(surface, self._radiance(surface))
         table = NormalTable(np.array(sensor.normal_table), sensor.camera.footprint_mm(self.size_px)[0] / 2)
         untouched = self._linear(surface, markers=False)
         self._table = TableShare(table, sensor.table_share, sensor.camera, flat, untouched)
@@ -165,8 +165,16 @@ class MembraneRenderer:
         imaging.gather(geometry, values, self.lattice.grid, np.float32(NOWHERE_MM), out)
         return out
 
+    def _seen(self, surface: Surface, values: np.ndarray) -> np.ndarray:
+        """Return (h, w, 3): the values of the surface's vertices in each pixel."""
+        with LOCK:
+            return self._gather(self._geometry(surface), values)
+
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
-        geometry = self._geometry(surface)
+        with LOCK:
+            return self._linear_of(surface, self._geometry(surface), markers)
+
+    def _linear_of(self, surface: Surface, geometry: np.ndarray, markers: bool) -> np.ndarray:
         linear = self._gather(geometry, self._radiance(surface))
         if self._table is not None:
             self._table.mix_into(linear, self._gather(geometry, surface.normals))
@@ -238,14 +246,14 @@ class MembraneRenderer:
     ) -> np.ndarray:
         """Return float32 (h, w): how far the membrane in each pixel stands towards the camera (−z), in mm."""
         surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
-        return -self._gather(self._geometry(surface), surface.positions_mm)[..., 2]
+        return -self._seen(surface, surface.positions_mm)[..., 2]
 
     def normal_map(
         self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
     ) -> np.ndarray:
         """Return float32 (h, w, 3): the membrane's unit normal in each pixel, towards the camera (−z)."""
         surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
-        return self._gather(self._geometry(surface), surface.normals)
+        return self._seen(surface, surface.normals)
 
     def contact_mask(
         self,
@@ -265,7 +273,7 @@ class MembraneRenderer:
         membrane = Membrane(x_mm, y_mm, displacement_mm, frame_name)
         as_field = np.repeat(contact.astype(np.float32)[..., None], 3, axis=2)
         on_lattice = membrane.field_on(self.lattice, as_field).astype(np.float32)
-        return self._gather(self._geometry(self._surface(membrane)), on_lattice)[..., 0] > 0.5
+        return self._seen(self._surface(membrane), on_lattice)[..., 0] > 0.5
 
     def marker_px(
         self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"

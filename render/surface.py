@@ -37,15 +37,18 @@ class Grid(NamedTuple):
 def view_half_extent_mm(camera: Camera, size_px: tuple[int, int]) -> tuple[float, float]:
     """Return how far a membrane must reach from the sensor's centre along x and y for a picture of this size.
 
-    That is a state's convention, or the camera's footprint with its margin where it is larger.
+    That is a state's convention, or what the camera sees with a margin where it is larger.
     """
     half_mm = _half_extent_mm(camera, size_px)
     return tuple((np.ceil(half_mm / EXTENT_STEP_MM - 1e-3) * EXTENT_STEP_MM).tolist())
 
 
 def _half_extent_mm(camera: Camera, size_px: tuple[int, int]) -> np.ndarray:
-    footprint_mm = np.asarray(camera.footprint_mm(size_px)) / 2 + np.abs(camera.position_mm[:2])
-    return np.maximum(STATE_HALF_EXTENT_MM, footprint_mm + MARGIN_MM)
+    camera.farthest_slope(size_px)  # or a ValueError
+    edges = (np.array([-0.5, side / 2 - 0.5, side - 0.5]) for side in size_px)
+    columns, rows = map(np.ravel, np.meshgrid(*edges))
+    seen_mm = np.abs(camera.plane_points_mm(columns, rows, size_px)).max(axis=0)
+    return np.maximum(STATE_HALF_EXTENT_MM, seen_mm + MARGIN_MM)
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Lattice:
 
     @classmethod
     def covering(cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float) -> "Lattice":
-        """Return the grid that covers a state's convention and the camera's footprint with its margin.
+        """Return the grid that covers a state's convention and what the camera sees with its margin.
 
         Every second of its vertices reach as far.
         """

@@ -2,11 +2,14 @@
 
 import multiprocessing
 import pickle
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from gelgap.assets import list_presets
+from gelgap.render.camera import Camera
 from gelgap.render.imaging import encode, sensor_noise
 from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
@@ -264,6 +267,42 @@ def test_workers_give_the_same_bytes(renderer, dent):
     assert np.array_equal(here, there)
 
 
+def test_threads_that_share_a_renderer_get_pictures_of_their_own_membranes(renderer, dent):
+    render, membranes = renderer("i0", (64, 48)), [dent(0.8), dent(0.3, (0.3, 0.0))]
+    expected = [render.picture(*membrane) for membrane in membranes]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    try:
+        with ThreadPoolExecutor(2) as threads:
+            pictures = list(threads.map(lambda number: render.picture(*membranes[number % 2]), range(20)))
+    finally:
+        sys.setswitchinterval(interval)
+    wrong = sum((picture != expected[number % 2]).any() for number, picture in enumerate(pictures))
+    assert wrong == 0
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(radial_distortion=(-1.5, 0.0)),
+        Camera(radial_distortion=(2.0, 0.0), position_mm=(1.0, -0.5, -20.0)),
+        # The lens folds within the membrane, out of the picture.
+        Camera.showing(4.0).model_copy(update={"radial_distortion": (-8.0, 0.0)}),
+    ],
+    ids=["barrel", "pincushion", "narrow"],
+)
+def test_a_distorted_picture_shows_in_each_pixel_what_its_ray_meets(camera):
+    size_px = (64, 48)
+    sensor = Sensor.preset("paper").model_copy(update={"camera": camera})
+    render = MembraneRenderer(sensor, Illumination.preset("i0"), size_px, "draft")
+    seen_mm = render._geometry(render._surface_on_lattice(render._flat, "flat")).reshape(-1, 2)
+    np.testing.assert_allclose(seen_mm, camera.plane_of_picture_mm(size_px), atol=0.02)
+    pixels = np.indices(size_px[::-1])[::-1].reshape(2, -1).T + 0.5
+    np.testing.assert_allclose(
+        camera.project_px(np.pad(seen_mm, ((0, 0), (0, 1))), size_px), pixels, atol=0.2
+    )
+
+
 def test_noise_is_drawn_from_the_generator_and_has_the_camera_s_variance(renderer):
     render = renderer("i0")
     one, same, other = (render.reference(rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
@@ -327,6 +366,13 @@ def test_maps_are_aligned_with_the_picture(renderer, dent):
 def test_bad_membranes_are_refused_by_name(renderer, dent, change, words):
     with pytest.raises(ValueError, match=rf"frame 7.*{words}"):
         renderer().picture(*change(*dent(0.8, (0.5, 0.0))), frame_name="frame 7")
+
+
+def test_a_lens_that_folds_the_picture_is_refused():
+    camera = Camera(horizontal_field_of_view_deg=90.0, radial_distortion=(-0.2, 0.0))
+    sensor = Sensor.preset("paper").model_copy(update={"camera": camera})
+    with pytest.raises(ValueError, match=r"camera.radial_distortion = .* k1 must be at least -0\.0948"):
+        MembraneRenderer(sensor, Illumination.preset("i0"))
 
 
 def test_bad_settings_are_refused():
