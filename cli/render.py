@@ -79,24 +79,16 @@ class Render(opt.Command):
         import numpy as np
 
         from gelgap.domains.formats.pictures import encode_png
-        from gelgap.domains.formats.shards import (
-            HEIGHT_MAP_OFFSET_MM,
-            HEIGHT_MAP_SCALE,
-            HEIGHT_MAP_STEP_MM,
-            height_codes,
-        )
+        from gelgap.domains.formats.shards import HEIGHT_MAP_SCALE, height_codes
 
         if self.height_map.suffix.lower() == ".npy":
             with whole_file(self.height_map) as temporary, temporary.open("wb") as file:
                 np.save(file, height_mm)
             print(f"wrote {self.height_map}: height towards the camera in mm")
             return
-        low, step = HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM
-        codes = height_codes(height_mm)
-        if codes.min() < 0 or codes.max() > 65535:
-            raise ValueError(
-                f"--height-map {self.height_map}: a 16-bit PNG holds {low:g} to {low + 65535 * step:.2f} mm, and "
-                f"heights are {height_mm.min():.2f} to {height_mm.max():.2f} mm: write a .npy"
-            )
-        write_whole(self.height_map, encode_png(codes.astype(np.uint16)))
+        try:
+            codes = height_codes(height_mm)
+        except ValueError as error:
+            raise ValueError(f"--height-map {self.height_map}: {error}: write a .npy") from None
+        write_whole(self.height_map, encode_png(codes))
         print(f"wrote {self.height_map}: {HEIGHT_MAP_SCALE}")

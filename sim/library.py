@@ -74,7 +74,8 @@ class PoseRanges:
     def __post_init__(self) -> None:
         if not 0 < self.shallowest_mm <= self.deepest_mm:
             raise ValueError(
-                f"depths of a library from {self.shallowest_mm:g} to {self.deepest_mm:g} mm: must rise, from above 0"
+                f"deepest_mm = {self.deepest_mm:g}: must be above 0, and no less than the shallowest depth of the "
+                f"library, {self.shallowest_mm:g} mm"
             )
         if not (self.travel_mm >= 0 and self.travel_by_depth >= 0):
             raise ValueError(f"travel of a library = {self.travel_mm:g} mm: must be 0 or more")

@@ -6,6 +6,7 @@ interpolated by quadratic B-splines, whose gradient is continuous, as Newton's m
 """
 
 import base64
+import logging
 import math
 import zlib
 from functools import lru_cache
@@ -24,6 +25,7 @@ from gelgap.sim.indenter import Floats, Symmetry
 from gelgap.sim.mesh_file import MeshUnit, lower_end
 from gelgap.sim.rounded import Shape
 
+LOG = logging.getLogger(__name__)
 MAP_SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 # A grid has about this many places along its longer side at most, and none nearer to one another than that.
 _MOST_PLACES = 240
@@ -174,6 +176,13 @@ class Surface(Shape):
                 for name, given, least, most in bounds:
                     if not isinstance(given, float | int) or not least <= given <= most or given == 0:
                         raise ValueError(f"{name} = {given!r}: a map needs it, {least} to {most} mm, not 0")
+                empty = values == 0
+                if step_mm < 0 and empty.any() and values[~empty].min(initial=np.inf) > values.max() / 2:
+                    LOG.warning(
+                        "%s: %d places are 0 and touch first, far before all others: if a depth camera saw nothing "
+                        "there, fill them in",
+                        *(path.name, np.count_nonzero(empty)),
+                    )
                 return cls.of(-step_mm * values, spacing_mm, **fields)
             triangles_mm, height_mm = lower_end(
                 path, unit, fields.get("flip", False), _DEEPEST_MM + _KEPT_ABOVE_MM

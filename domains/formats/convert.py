@@ -38,6 +38,8 @@ COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 _COUNTED = (".avi", ".mp4", ".mov")  # the others state no number of pictures, but how long they are
+_SOUND_S = 0.5
+"""The sound of a video may last so much longer than its pictures."""
 _LAYOUT = (
     "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
     "folder of pictures (press/) with a table picture, time_s in it"
@@ -476,11 +478,16 @@ def _grabbed(path: Path) -> "Iterator[VideoCapture]":
     try:
         if not video.isOpened():
             raise ValueError(f"{path} is not a video that can be read")
+        read_s = 0.0
         while video.grab():
+            read_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
             yield video
         stated, read = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_POS_FRAMES)
-        if stated > read + 1 and path.suffix.lower() in _COUNTED:
+        stated_s = stated / max(video.get(cv2.CAP_PROP_FPS), 1e-9)
+        if path.suffix.lower() in _COUNTED and stated > read + 1:
             LOG.warning("%s states %d pictures, of which %d could be read", path, stated, read)
+        if path.suffix.lower() not in _COUNTED and stated_s > read_s + _SOUND_S:
+            LOG.warning("%s states %.1f s, of which %.1f s could be read", path, stated_s, read_s)
     finally:
         video.release()
 

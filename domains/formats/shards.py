@@ -104,14 +104,19 @@ class Column:
 
 
 def height_codes(height_mm: np.ndarray) -> np.ndarray:
-    """Return heights as whole codes of a 16-bit map, as float, so that one beyond 0 to 65535 can be seen."""
-    return np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM)
+    """Return heights (h, w) as uint16 codes of a map; a ValueError if one lies beyond them."""
+    codes = np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM)
+    if codes.min() < 0 or codes.max() > 65535:
+        most_mm = HEIGHT_MAP_OFFSET_MM + 65535 * HEIGHT_MAP_STEP_MM
+        raise ValueError(
+            f"a 16-bit height map holds {HEIGHT_MAP_OFFSET_MM:g} to {most_mm:.2f} mm, and heights are "
+            f"{height_mm.min():.2f} to {height_mm.max():.2f} mm"
+        )
+    return codes.astype(np.uint16)
 
 
 def _height_map(view: View) -> dict[str, Any]:
-    height_mm = view.renderer.height_map_mm(*view.membrane)
-    codes = np.clip(height_codes(height_mm), 0, 65535)
-    return picture_cell(codes.astype(np.uint16))
+    return picture_cell(height_codes(view.renderer.height_map_mm(*view.membrane)))
 
 
 def _contact_mask(view: View) -> dict[str, Any]:

@@ -221,7 +221,7 @@ def test_render_writes_the_height_map(capsys: pytest.CaptureFixture[str], tmp_pa
             ["render", state, *size, "--height-map", str(tmp_path / name), "-o", picture], capsys
         )
         assert code == expected
-    assert "a 16-bit PNG holds -0.5 to 6.05 mm" in err
+    assert "a 16-bit height map holds -0.5 to 6.05 mm, and heights are" in err
     assert not (tmp_path / "deep.png").exists()
     height_mm = np.load(tmp_path / "heights.npy")
     assert height_mm.shape == (60, 80)

@@ -1,5 +1,6 @@
 """A user's recordings become picture folders, and what must be refused."""
 
+import re
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ import pytest
 from real_clones import force_of, pictures_of, rows_of, write_recordings, write_table, write_video
 
 from gelgap.domains import convert
-from gelgap.domains.formats.convert import COLUMNS, write_picture_table
+from gelgap.domains.formats.convert import COLUMNS, video_pictures, write_picture_table
 
 
 def test_a_users_recordings_are_lined_up_by_their_own_clocks(
@@ -32,6 +33,18 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(
     assert "press-1.AVI states 40 pictures, of which 3" in caplog.text
     assert on_video[26] == pytest.approx(of_pictures[26], abs=0.2)
     assert all(float(row["fx_n"]) == pytest.approx(-0.1 * float(row["fz_n"])) for row in rows[:20])
+
+
+def test_of_a_video_that_states_its_length_alone_it_is_said_that_it_is_cut_off(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    noise = np.random.default_rng(0).integers(0, 255, (60, 48, 64, 3), np.uint8)
+    write_video(video := tmp_path / "press.mkv", list(noise))
+    assert len(list(video_pictures(video))) == 60
+    assert not caplog.messages
+    video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+    assert len(list(video_pictures(video))) in (29, 30)
+    assert re.search("press.mkv states 2.0 s, of which (0.9|1.0) s could be read", caplog.text)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pytest
 
 from gelgap.domains import DomainRecipe, make_recipes
 from gelgap.domains.domain import OptionalColumn
@@ -28,12 +29,25 @@ def test_the_guide_lists_every_column_with_its_unit() -> None:
         assert column.unit in units.split(", ") if column.unit else not units, column.name
 
 
-def test_noise_differs_from_frame_to_frame_and_from_seed_to_seed_and_repeats_itself() -> None:
+def membrane(depth_mm: float) -> MembraneState:
+    """Return a flat membrane that is pressed in as a whole."""
     x_mm, y_mm = grid_axes()
-    shape = (len(y_mm), len(x_mm))
-    flat = MembraneState(
-        x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.zeros(3), 0.0
-    )
+    displacement_mm = np.zeros((len(y_mm), len(x_mm), 3), np.float32)
+    displacement_mm[..., 2] = -depth_mm
+    touches = np.zeros(displacement_mm.shape[:2], bool)
+    return MembraneState(x_mm, y_mm, displacement_mm, touches, np.zeros(3), 0.0)
+
+
+def test_a_height_that_no_map_can_hold_is_no_other_height() -> None:
+    settings = {"size_px": (64, 48), "render_quality": "draft", "columns": ("height_map",)}
+    (recipe,) = make_recipes(["mb0i0"], "smoke", **settings)
+    picture_cells([recipe], 0, membrane(6.0))
+    with pytest.raises(ValueError, match=r"heights are 7\.00 to 7"):
+        picture_cells([recipe], 0, membrane(7.0))
+
+
+def test_noise_differs_from_frame_to_frame_and_from_seed_to_seed_and_repeats_itself() -> None:
+    flat = membrane(0.0)
     (recipe,) = make_recipes(["mb0i0"], "smoke", size_px=(64, 48), render_quality="draft")
 
     def png(of: DomainRecipe, frame: int) -> bytes:

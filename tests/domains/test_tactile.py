@@ -24,6 +24,11 @@ def sensor(shared: TactileSensor) -> TactileSensor:
     return shared
 
 
+def test_a_depth_below_0_is_refused() -> None:
+    with pytest.raises(ValueError, match="deepest_mm = -1: must be above 0"):
+        TactileSensor(GEL, deepest_mm=-1)
+
+
 def test_a_press_gives_picture_force_and_error(sensor: TactileSensor) -> None:
     nothing, pressed = sensor.step(0.0), sensor.step(0.08)
     assert not nothing.force_n.any()

@@ -99,7 +99,7 @@ def test_a_mesh_that_is_not_convex_is_pressed_by_its_surface(tmp_path: Path) -> 
     assert kind.validate_json(kind.dump_json(ring)) == ring
 
 
-def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
+def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     values = np.zeros((60, 80), np.uint16)
     values[20:40, 30:50] = 20_000
     cv2.imwrite(str(tmp_path / "relief.png"), values)
@@ -116,6 +116,12 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path) -> None:
     np.save(tmp_path / "camera.npy", 300.0 - values * 5e-5)
     seen = load_indenter(str(tmp_path / "camera.npy"), spacing_mm=0.1, step_mm=-1.0)
     np.testing.assert_allclose(seen.cut_mm(0.5), relief.cut_mm(0.5), atol=1e-6)
+    assert "are 0" not in caplog.text
+    distances_mm = 200.0 - values * 5e-5
+    distances_mm[3, 4:6] = 0
+    np.save(tmp_path / "holes.npy", distances_mm)
+    load_indenter(str(tmp_path / "holes.npy"), spacing_mm=0.1, step_mm=-1.0)
+    assert "holes.npy: 2 places are 0 and touch first" in caplog.text
 
 
 @pytest.mark.parametrize(
