@@ -48,7 +48,9 @@ def _half_extent_mm(camera: Camera, size_px: tuple[int, int]) -> np.ndarray:
     edges = (np.array([-0.5, side / 2 - 0.5, side - 0.5]) for side in size_px)
     columns, rows = map(np.ravel, np.meshgrid(*edges))
     seen_mm = np.abs(camera.plane_points_mm(columns, rows, size_px)).max(axis=0)
-    return np.maximum(STATE_HALF_EXTENT_MM, seen_mm + MARGIN_MM)
+    footprint_mm = np.asarray(camera.footprint_mm(size_px)) / 2 + np.abs(camera.position_mm[:2])
+    # What a lens shows beyond the footprint may take most of the margin.
+    return np.max([STATE_HALF_EXTENT_MM, footprint_mm + MARGIN_MM, seen_mm + MARGIN_MM / 4], axis=0)
 
 
 @dataclass(frozen=True)
