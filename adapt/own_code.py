@@ -93,17 +93,22 @@ def imported(place: str, what: str) -> tuple[ModuleType, str]:
     try:
         module = _from_file(module_name) if module_name.endswith(".py") else import_module(module_name)
     except Exception as error:
+        is_missing = module_name.endswith(".py") and isinstance(error, ModuleNotFoundError)
+        alone = (
+            "; a file beside it is not found, as its hash stands for all of its code" if is_missing else ""
+        )
         raise ValueError(
             f"{what} {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
-            "name a module or a .py file, and what it defines"
+            f"name a module or a .py file, and what it defines{alone}"
         ) from error
     return module, name
 
 
 def _from_file(name: str) -> ModuleType:
     path = Path(name).resolve(strict=True)
-    # What it defines is found by its module's name when its source is asked for.
-    known_as = f"gelgap_own_{sha256(str(path).encode())[:12]}"
+    # What it defines is found by its module's name when its source is asked for. A file that has changed is run again:
+    # else the old code would go by the new one's hash.
+    known_as = f"gelgap_own_{sha256(str(path).encode() + path.read_bytes())[:12]}"
     if known_as not in sys.modules:
         spec = spec_from_file_location(known_as, path)
         module = sys.modules[known_as] = module_from_spec(spec)

@@ -155,7 +155,7 @@ class Controls:
         upload = gui.add_upload_button(
             "Body from a file …",
             mime_type=",".join(_BODY_SUFFIXES),
-            hint="A mesh or TOML file; one of a height map needs its scale, and a mesh its edge radius, from TOML",
+            hint="A mesh, or a TOML file that names no other file; a height map is for `gelgap press`",
         )
 
         def shown() -> str:

@@ -6,6 +6,7 @@ entry points of installed packages, or as `module:Class` or `file.py:Class`.
 
 from functools import cache
 from importlib.metadata import entry_points
+from inspect import getsourcefile
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
@@ -82,7 +83,7 @@ def use_method(name: str) -> str:
         return name
     method, (module_name, _, class_name) = _load(name), name.rpartition(":")
     own = f"{Path(module_name.removesuffix('.py')).name}.{class_name}"
-    if own in METHODS or EXTRA.get(own, method) is not method:
+    if own in METHODS or getsourcefile(EXTRA.get(own, method)) != getsourcefile(method):
         raise ValueError(f"method {name!r}: the name {own} is taken by another method")
     _keep(own, method)
     return own

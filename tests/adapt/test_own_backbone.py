@@ -82,7 +82,9 @@ def test_the_name_holds_no_folder_and_changes_with_the_code(own_file, profile):
     copied = shutil.copy(own_file, own_file.parent / "other" / "net.py")
     assert use_backbone(str(copied) + ":maps") == first.backbone
     Path(copied).write_text(FILE.replace("8, 5, 4", "8, 5, 2"))
-    assert use_backbone(f"{copied}:maps") != first.backbone
+    changed = use_backbone(f"{copied}:maps")
+    assert changed != first.backbone
+    assert own_code.own_backbone(changed)(3)[0].stride == (2, 2)
 
 
 def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_file, source, capsys, refused):

@@ -203,11 +203,24 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
     assert before is not None
     assert registry.method_code("own.Half") != before
     assert registry.method_code("dsan") is None
+    with pytest.raises(ValueError, match=r"the name own\.Half is taken by another method"):
+        registry.use_method("own.py:Half")
+
+
+def test_code_that_changed_in_the_meantime_runs_as_it_is_now(pictures: Path) -> None:
+    registry.use_method("own.py:Half")
+    (pictures / "own.py").write_text(METHOD.replace("Half the", "Now half the"))
+    registry.use_method("own.py:Half")
+    assert registry.find_method("own.Half").__doc__ == "Now half the distance of the means."
 
 
 @pytest.mark.parametrize(
     ("method", "words"),
     [
+        (
+            "beside.py:Half",
+            "No module named 'own'); name a module or a .py file, and what it defines; a file beside",
+        ),
         ("absent.py:Half", "absent.py could not be imported (FileNotFoundError"),
         ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),
         ("own.py:number", "number is not a class"),
@@ -216,6 +229,7 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
 def test_what_is_no_method_is_bad_input(
     method: str, words: str, pictures: Path, refused: Callable[..., str]
 ) -> None:
+    (pictures / "beside.py").write_text("from own import Half")
     assert words in refused(*ADAPT, method)
     assert not (pictures / "runs").exists()
 
