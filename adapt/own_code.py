@@ -93,10 +93,8 @@ def imported(place: str, what: str) -> tuple[ModuleType, str]:
     try:
         module = _from_file(module_name) if module_name.endswith(".py") else import_module(module_name)
     except Exception as error:
-        is_missing = module_name.endswith(".py") and isinstance(error, ModuleNotFoundError)
-        alone = (
-            "; a file beside it is not found, as its hash stands for all of its code" if is_missing else ""
-        )
+        is_missing = isinstance(error, ModuleNotFoundError)
+        alone = "; files beside it are not found, as its hash is that of all its code" if is_missing else ""
         raise ValueError(
             f"{what} {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
             f"name a module or a .py file, and what it defines{alone}"

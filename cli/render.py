@@ -1,5 +1,6 @@
 """`gelgap render`: the sensor's picture of a saved membrane."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,6 +60,10 @@ class Render(opt.Command):
                 f"{error}; needed is an .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3), as written "
                 "by: gelgap press --save state.npz"
             ) from None
+        if not state.converged:
+            print(
+                f"gelgap: warning: {self.state}: did not converge: this is no picture of it", file=sys.stderr
+            )
         sensor = opt.named(render.Sensor, self.sensor)
         light = opt.light_in(sensor, self.illumination)
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,8 @@ CANDIDATES = 1000
 KINDS = ("i0", "i1", "i2")
 """Presets around which lights are drawn."""
 _HEIGHT_PX = 30
+# So many LEDs have as many orders as 64 bits can tell: of more, the last ones exchange their spectra.
+_MOST_EXCHANGED = 20
 _SPREAD = Variation(led_position_mm=1.0, led_angle_deg=10, led_drive=0.3, led_peak_nm=10, led_cct=0.2)
 
 
@@ -31,8 +32,11 @@ def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illuminati
     """
     rng = np.random.default_rng([number, LIGHTS])
     base = kinds[int(rng.integers(len(kinds)))]
-    orders = list(permutations(led.spectrum for led in base.leds))
-    spectra = orders[rng.integers(len(orders))]
+    left, spectra = [led.spectrum for led in base.leds], []
+    order = int(rng.integers(math.factorial(min(len(left), _MOST_EXCHANGED))))  # which permutation of them
+    while left:
+        place, order = divmod(order, math.factorial(len(left) - 1))
+        spectra.append(left.pop(place))
     turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
     about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
     leds = []

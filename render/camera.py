@@ -126,9 +126,8 @@ class Camera(Settings):
         corner = 0.5 * hypot(*size_px) / self.focal_length_px(size_px[0])
         with np.errstate(all="ignore"):
             slope = float(self._undistorted(np.float64(corner)))
-        k1, k2 = self.radial_distortion
-        r2 = np.linspace(0, slope**2, 100)
-        if slope > 0 and (1 + r2 * (3 * k1 + 5 * r2 * k2) > 0).all():
+        nearer = np.linspace(0, slope, 100)
+        if slope > 0 and (np.diff(nearer * self._stretch(nearer**2)) > 0).all():
             return slope
         raise ValueError(
             f"camera.radial_distortion = {self.radial_distortion}: folds the picture over before its corner; at this "

@@ -160,7 +160,7 @@ class MembraneRenderer:
         return rasterizer_for(self.sensor.camera, lattice, self.size_px).geometry(positions)
 
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""
+        """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices at rest coordinates."""
         out = np.empty((*geometry.shape[:2], 3), np.float32)
         imaging.gather(geometry, values, self.lattice.grid, np.float32(NOWHERE_MM), out)
         return out
@@ -172,21 +172,19 @@ class MembraneRenderer:
 
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
         with LOCK:
-            return self._linear_of(surface, self._geometry(surface), markers)
-
-    def _linear_of(self, surface: Surface, geometry: np.ndarray, markers: bool) -> np.ndarray:
-        linear = self._gather(geometry, self._radiance(surface))
-        if self._table is not None:
-            self._table.mix_into(linear, self._gather(geometry, surface.normals))
-        if markers and self._marker_cells is not None:
-            paint_markers(geometry, *self._marker_cells, self._marker_ratio, linear)
-        if self._gain is not None:
-            linear *= self._gain
-        if self.sensor.camera.point_spread_px > 0:
-            linear = imaging.point_spread(linear, self.sensor.camera)
-        if self._flat_field is not None:
-            self._flat_field.apply(linear, surface, geometry if markers else None)
-        return linear
+            geometry = self._geometry(surface)
+            linear = self._gather(geometry, self._radiance(surface))
+            if self._table is not None:
+                self._table.mix_into(linear, self._gather(geometry, surface.normals))
+            if markers and self._marker_cells is not None:
+                paint_markers(geometry, *self._marker_cells, self._marker_ratio, linear)
+            if self._gain is not None:
+                linear *= self._gain
+            if self.sensor.camera.point_spread_px > 0:
+                linear = imaging.point_spread(linear, self.sensor.camera)
+            if self._flat_field is not None:
+                self._flat_field.apply(linear, surface, geometry if markers else None)
+            return linear
 
     def _encoded(self, linear: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
         if rng is not None:
@@ -282,18 +280,12 @@ class MembraneRenderer:
 
         A missing marker is NaN.
         """
-        from scipy.ndimage import map_coordinates
-
         rest_mm = marker_rest_mm(self.sensor.markers)
         if rest_mm.size == 0:
             return rest_mm
-        lattice = self.lattice
-        on_lattice = Membrane(x_mm, y_mm, displacement_mm, frame_name).displacement_on(lattice)
-        cells = (rest_mm - (lattice.x0_mm, lattice.y0_mm)) / lattice.spacing_mm
-        at = np.nan_to_num(cells[..., ::-1]).transpose(2, 0, 1)
-        fields = np.moveaxis(on_lattice, 2, 0)
-        moved = np.stack([map_coordinates(field, at, order=1, mode="nearest") for field in fields], -1)
-        points = np.concatenate([rest_mm, np.zeros((*rest_mm.shape[:2], 1))], axis=2) + moved
+        on_lattice = Membrane(x_mm, y_mm, displacement_mm, frame_name).displacement_on(self.lattice)
+        moved = self._gather(np.nan_to_num(rest_mm).astype(np.float32), on_lattice.astype(np.float32))
+        points = np.pad(rest_mm, ((0, 0), (0, 0), (0, 1))) + moved
         return self.sensor.camera.project_px(points, self.size_px)
 
 

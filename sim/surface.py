@@ -178,11 +178,8 @@ class Surface(Shape):
                         raise ValueError(f"{name} = {given!r}: a map needs it, {least} to {most} mm, not 0")
                 empty = values == 0
                 if step_mm < 0 and empty.any() and values[~empty].min(initial=np.inf) > values.max() / 2:
-                    LOG.warning(
-                        "%s: %d places are 0 and touch first, far before all others: if a depth camera saw nothing "
-                        "there, fill them in",
-                        *(path.name, np.count_nonzero(empty)),
-                    )
+                    said = "%s: %d places are 0 and touch first: if a depth camera saw nothing there, fill them in"
+                    LOG.warning(said, path.name, empty.sum())
                 return cls.of(-step_mm * values, spacing_mm, **fields)
             triangles_mm, height_mm = lower_end(
                 path, unit, fields.get("flip", False), _DEEPEST_MM + _KEPT_ABOVE_MM

@@ -215,12 +215,14 @@ def test_render_writes_the_height_map(capsys: pytest.CaptureFixture[str], tmp_pa
     state, picture = str(tmp_path / "state.npz"), str(tmp_path / "picture.png")
     for deep, name, expected in ((1.0, "heights.npy", 0), (1.0, "heights.png", 0), (9.0, "deep.png", 2)):
         displacement = np.stack([0 * dent, 0 * dent, deep * dent], axis=-1)
-        np.savez(state, x_mm=x_mm, y_mm=y_mm, displacement_mm=displacement)
+        converged = deep < 9
+        np.savez(state, x_mm=x_mm, y_mm=y_mm, displacement_mm=displacement, converged=converged)
         size = ["--size", "80", "60", "--quality", "draft"]
         code, _, err = run(
             ["render", state, *size, "--height-map", str(tmp_path / name), "-o", picture], capsys
         )
         assert code == expected
+        assert ("did not converge" in err) is not converged
     assert "a 16-bit height map holds -0.5 to 6.05 mm, and heights are" in err
     assert not (tmp_path / "deep.png").exists()
     height_mm = np.load(tmp_path / "heights.npy")

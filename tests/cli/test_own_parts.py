@@ -219,7 +219,7 @@ def test_code_that_changed_in_the_meantime_runs_as_it_is_now(pictures: Path) -> 
     [
         (
             "beside.py:Half",
-            "No module named 'own'); name a module or a .py file, and what it defines; a file beside",
+            "No module named 'own'); name a module or a .py file, and what it defines; files beside",
         ),
         ("absent.py:Half", "absent.py could not be imported (FileNotFoundError"),
         ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),

@@ -6,7 +6,7 @@ import pytest
 from gelgap.domains import drawn_lights, in_drawn_lights, make_recipes
 from gelgap.domains.drawn_lights import drawn_illumination
 from gelgap.domains.generation.plan import plan_generation
-from gelgap.render import Illumination, MembraneRenderer
+from gelgap.render import Illumination, MembraneRenderer, RgbSpectrum
 from gelgap.sim import Pose, PosePath
 
 KINDS = [Illumination.preset(name) for name in ("i0", "i1")]
@@ -25,6 +25,16 @@ def test_a_number_is_a_light_of_one_of_the_kinds():
     # Turned by any angle: the first LED of a kind is found all around.
     x, y = np.array([light.leds[0].position_mm[:2] for light in lights]).T
     assert np.histogram(np.arctan2(y, x), bins=4)[0].min() > 3
+
+
+def test_the_leds_of_a_ring_exchange_their_spectra():
+    led = KINDS[0].leds[0]
+    ring = [
+        led.model_copy(update={"name": str(k), "spectrum": RgbSpectrum(rgb=(k, 1, 1))}) for k in range(24)
+    ]
+    light = drawn_illumination(1, [Illumination(leds=ring)])
+    reds = [own.spectrum.rgb[0] for own in light.leds]
+    assert sorted(reds) == list(range(24)) != reds
 
 
 def test_every_contact_is_in_one_light(recipe):
