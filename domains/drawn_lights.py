@@ -35,8 +35,8 @@ def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illuminati
     left, spectra = [led.spectrum for led in base.leds], []
     order = int(rng.integers(math.factorial(min(len(left), _MOST_EXCHANGED))))  # which permutation of them
     while left:
-        place, order = divmod(order, math.factorial(len(left) - 1))
-        spectra.append(left.pop(place))
+        chosen, order = divmod(order, math.factorial(len(left) - 1))
+        spectra.append(left.pop(chosen))
     turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
     about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
     leds = []
