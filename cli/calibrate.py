@@ -12,6 +12,7 @@ import tyro
 
 from gelgap import render
 from gelgap.assets.names import comma_list
+from gelgap.assets.whole_file import write_whole
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class Calibrate(opt.Command):
     presses: tyro.conf.Positional[Path]
     """Folder of pictures or videos; or a TOML file that lists pictures of pressed spheres; or gelsight or
     gelsight_mini, calibration pictures of the package taxim, or a folder with such a dataPack.npz."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")] = Path("fitted.toml")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.OutputFile(".toml")] = Path("fitted.toml")
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it. With --predict
     only pictures are written, to a folder of its name with -predicted."""
     reference: Annotated[Path | None, opt.optional("PATH", "the list's, the folder's or the package's")] = (
@@ -340,17 +341,14 @@ def write_comparisons(
     pairs: "Sequence[tuple[np.ndarray | None, np.ndarray]]", folder: Path, kind: str
 ) -> None:
     """Write a picture of each press: real, predicted, and 128 plus four times the difference; or predicted alone."""
-    import cv2
     import numpy as np
 
+    from gelgap.domains.formats.pictures import encode_png
     from gelgap.render.imaging import difference_picture
 
-    folder.mkdir(parents=True, exist_ok=True)
     for number, (real, predicted) in enumerate(pairs, start=1):
         shown = predicted
         if real is not None:
             shown = np.hstack([real, predicted, difference_picture(predicted, real, DIFFERENCE_GAIN)])
-        path = folder / f"{kind}-{number:02d}.png"
-        if not cv2.imwrite(str(path), shown[..., ::-1]):
-            raise RuntimeError(f"{path} could not be written")
+        write_whole(folder / f"{kind}-{number:02d}.png", encode_png(shown))
     print(f"wrote {len(pairs)} comparisons to {folder}")

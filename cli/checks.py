@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import tyro
 
 from gelgap.assets.names import quoted
-from gelgap.cli.options import Command, output_file
+from gelgap.cli.options import Command, OutputFile
 
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
@@ -27,7 +27,7 @@ def check_values(command: Command) -> None:
         raise ValueError("; ".join(problems))
     written: dict[Path, str] = {}
     for name, path, notes in _options(command):
-        if path is not None and any(_is_check_of_output_file(note) for note in notes):
+        if path is not None and any(isinstance(note, OutputFile) for note in notes):
             first = written.setdefault(path.resolve(), name)
             if first != name:
                 raise ValueError(
@@ -44,14 +44,10 @@ def _options(options: Any) -> Iterator[tuple[str, Any, list[Any]]]:
         yield name, getattr(options, field.name), notes
 
 
-def _is_check_of_output_file(note: Any) -> bool:
-    return isinstance(note, FunctionType) and note.__qualname__.startswith(f"{output_file.__name__}.")
-
-
 def _problems(options: Any) -> Iterator[str]:
     for name, value, notes in _options(options):
         for check in notes if value is not None else ():
-            if isinstance(check, FunctionType):
+            if isinstance(check, FunctionType | OutputFile):
                 try:
                     check(value)
                 except (ValueError, OSError) as error:

@@ -5,7 +5,6 @@ import re
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -65,13 +64,15 @@ def input_folder(what: str) -> Check:
     return check
 
 
-@cache
-def output_file(*suffixes: str) -> Check:
-    """Return the check of a file that can be written, in a folder that is there."""
+class OutputFile:
+    """The check of a file that can be written, in a folder that is there; no two of a command may be the same."""
 
-    def check(path: Path) -> None:
-        if suffixes and path.suffix.lower() not in suffixes:
-            raise ValueError(f"the name must end in {', '.join(suffixes)}")
+    def __init__(self, *suffixes: str):
+        self.suffixes = suffixes
+
+    def __call__(self, path: Path) -> None:
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            raise ValueError(f"the name must end in {', '.join(self.suffixes)}")
         if path.is_dir():
             raise ValueError("is a folder; name a file")
         if not path.parent.is_dir():
@@ -79,8 +80,6 @@ def output_file(*suffixes: str) -> Check:
         if path.exists() and not os.access(path, os.W_OK):
             raise ValueError("cannot be written to; name another file")
         _check_takes_files(path.parent)
-
-    return check
 
 
 def output_folder(path: Path) -> None:

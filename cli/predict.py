@@ -37,7 +37,7 @@ class Predict(opt.Command):
     """Pictures (PNG, JPEG, BMP or TIFF), or folders of them."""
     camera: Annotated[int | None, opt.optional("INDEX"), opt.between(0, 99)] = None
     """In place of files, predict each picture of this camera until Ctrl-C."""
-    out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".csv")] = None
+    out: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".csv")] = None
     """Write the rows to this CSV file, too, with the labels' names (fz_n: Fz in N) as the header."""
     backbone: opt.OwnBackbone = None
 

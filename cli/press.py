@@ -70,13 +70,13 @@ class Press(opt.Command):
     """How finely mesh and load steps resolve the contact."""
     json: opt.Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
+    save: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
-    traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    traction: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
-    slip: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    slip: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write how far the membrane has slid over the indenter since the press straight down to this .npz."""
-    mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
+    mesh: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
     @classmethod
