@@ -1,6 +1,7 @@
 """Doing runs: one stage 1 on a source, then each method on each target; what is finished is not repeated."""
 
 import json
+import logging
 import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +34,6 @@ from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
-from gelgap.assets.whole_file import warn
 from gelgap.domains import LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
@@ -41,6 +41,7 @@ from gelgap.domains.frames.stored import GeneratedDomain
 from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 
+LOG = logging.getLogger(__name__)
 _RESUME = "resume.pt"
 _METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
@@ -215,7 +216,7 @@ class Stage1:
             try:
                 return ForceModel.load(self.checkpoint), 0.0
             except ValueError as error:
-                warn(f"{error}: stage 1 is trained again")
+                LOG.warning("%s: stage 1 is trained again", error)
         folder = self.checkpoint and self.checkpoint.with_suffix("")
         resume_file = folder and folder / _RESUME
         with sole_use(folder) if folder else nullcontext():

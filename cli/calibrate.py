@@ -1,6 +1,6 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
-import sys
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import atan2, degrees
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from gelgap.render.calibration.calibrator import LightCalibration
     from gelgap.render.calibration.pictures import PressPicture
 
+LOG = logging.getLogger(__name__)
 HELD_OUT = {
     "unchanged": "unchanged reference",
     "table": "table of normals alone",
@@ -116,7 +117,7 @@ class Calibrate(opt.Command):
             check_presses(reference, presses)
             sensor = lit_from_dents(sensor, reference, presses)
         if doubt := doubt_of_scale(sensor.camera, presses):
-            print(f"gelgap: warning: {doubt}", file=sys.stderr)
+            LOG.warning(doubt)
         fit = calibrate_light(
             sensor,
             reference,
@@ -133,7 +134,7 @@ class Calibrate(opt.Command):
         print(f"wrote {self.out} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
-            print(f"gelgap: warning: {warning}", file=sys.stderr)
+            LOG.warning(warning)
         folder = self.out.with_name(f"{self.out.stem}-held-out")
         write_comparisons(held_out_pairs(fit, presses), folder, "held-out")
 
@@ -187,7 +188,7 @@ class Calibrate(opt.Command):
         if found.without_contact:
             print(f"without contact: {comma_list(found.without_contact)}")
         for doubt in found.doubts:
-            print(f"gelgap: warning: {self.presses}: {doubt}", file=sys.stderr)
+            LOG.warning("%s: %s", self.presses, doubt)
         return found.path
 
     def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":

@@ -97,7 +97,7 @@ def test_a_large_residual_is_warned_of(
             "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, fit=fit, **__: fit
         )
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
-        assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
+        assert ("gelgap: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
 
 def test_what_makes_a_fit_doubtful_is_said(
