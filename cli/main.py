@@ -119,8 +119,6 @@ def check_cache() -> None:
     try:
         output_folder(folder)
     except ValueError as error:
-        if os.environ.get("GELGAP_CACHE"):
-            raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {error}") from None
         raise ValueError(f"the folder of the cache, {str(folder)!r}: {error} in GELGAP_CACHE") from None
 
 
