@@ -113,9 +113,8 @@ def one_sentence(error: ValidationError, model: type[BaseModel] | None = None) -
             messages = options.setdefault(place[:-1], [])
             messages.append(detail["msg"].removeprefix(_FROM_VALUE_ERROR))
             sentences[place[:-1]] = f"{'.'.join(map(str, place[:-1]))}: {_of_the_meant(messages)}"
-        elif detail["type"] != "too_short" or not any(
-            inside
-        ):  # a list that lost its wrong items is not too short
+        # A list that lost its wrong items is not too short.
+        elif detail["type"] != "too_short" or not any(inside):
             sentences[place] = _sentence(detail, model)
     return "; ".join(sentences.values())
 
@@ -138,7 +137,7 @@ def _sentence(detail: Any, model: type[BaseModel] | None) -> str:
         message = "must be several values with commas between"
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]
-    if detail["type"] == "extra_forbidden" and model and (near := closest_name(field, model.model_fields)):
-        message += f",{near}"
+    if detail["type"] == "extra_forbidden" and model:
+        message += closest_name(field, model.model_fields)
     value = f" = {quoted(detail['input'])}" if has_value else ""
     return f"{field}{value}: {message}"

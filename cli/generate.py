@@ -41,9 +41,7 @@ def check_what(words: tuple[str, ...]) -> None:
             Domain.parse(word)
         except ValueError as error:
             near = closest_name(word, DATA_SETS)
-            raise ValueError(
-                f"{error}; data sets: {', '.join(DATA_SETS)}{';' if near else ''}{near}"
-            ) from None
+            raise ValueError(f"{error}; data sets: {', '.join(DATA_SETS)}{near}") from None
 
 
 @dataclass(frozen=True)

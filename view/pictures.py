@@ -65,15 +65,21 @@ class PictureMaker:
             renderer = self._renderers[alike[-1]].relit(light.illumination)
         else:
             renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality)
-        if len(self._renderers) >= _KEPT_RENDERERS:
-            del self._renderers[next(iter(self._renderers))]
-        self._renderers[light] = renderer
+        keep(self._renderers, light, renderer, _KEPT_RENDERERS)
         return renderer
 
     def _colour_difference(self, one: Light, other: Light) -> tuple[float, float]:
         """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels."""
         gap = picture_gap(self.reference(one, False), self.reference(other, False))
         return gap.mean, gap.percentile_95
+
+
+def keep(kept: dict, key: object, value: object, most: int) -> None:
+    """Keep one more; the oldest goes where there are too many."""
+    kept.pop(key, None)
+    if len(kept) >= most:
+        del kept[next(iter(kept))]
+    kept[key] = value
 
 
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:

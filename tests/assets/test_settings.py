@@ -83,7 +83,7 @@ def refusal(**values: object) -> str:
 
 def test_a_field_that_is_nearly_one_is_asked_about() -> None:
     told = refusal(lamps=[{"power": 1.0}])
-    assert told == "lamps.0: power: extra inputs are not permitted, did you mean power_w?"
+    assert told == "lamps.0: power: extra inputs are not permitted; did you mean power_w?"
 
 
 def test_of_several_kinds_the_one_that_was_meant_is_told() -> None:
