@@ -33,7 +33,8 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "nocontact")
+REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
+"""What pictures without contact are called."""
 REFERENCES = "references"
 IMAGES = "images"
 TABLES = (".csv", ".tsv")
@@ -290,7 +291,7 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 def _shared_reference(
     folder: Path, pictures: list[Path], columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
 ) -> Path:
-    """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
+    """Return the picture called as in `REFERENCE_STEMS`, or else the frame that shows least contact, noted."""
     named = [path for path in pictures if _is_reference(path)]
     if len(named) > 1:
         notes.append(f"{len(named)} pictures are called a reference: {named[0].name} is taken")
