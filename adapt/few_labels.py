@@ -23,14 +23,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import (
-    LabelledFrames,
-    Labels,
-    PressStream,
-    join_domains,
-    open_domain,
-    with_labels,
-)
+from gelgap.domains import LabelledFrames, Labels, PressStream, join_domains, open_domain, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.inspection import log_notes

@@ -14,10 +14,7 @@ from gelgap.cli.main import COMMANDS, main
 from gelgap.cli.options import OutputFile
 
 WRONG: dict[str, tuple[str, str]] = {
-    "between": (
-        "press --force-n nan",
-        "--force-n = 'nan': must lie in [1e-06, 10000] N",
-    ),
+    "between": ("press --force-n nan", "--force-n = 'nan': must lie in [1e-06, 10000] N"),
     "input_folder": ("export no-such-folder --out o", "no-such-folder"),
     "OutputFile": (
         "press --save file.txt/below.npz",
