@@ -80,7 +80,7 @@ def adapt_folders(
     methods
         Their names, or `module:Class` or `file.py:Class` of your own.
     profile
-        One or several. The runs come by target, profile and method, in the given order.
+        One or several, by name, file or as settings. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force
         What is predicted, in which ranges, and contact classes: as for `split_for_training`.
     weights
@@ -98,7 +98,7 @@ def adapt_folders(
     RuntimeError
         If another process is writing one of these runs.
     """
-    profiles = [own if isinstance(own, Profile) else Profile.preset(own) for own in _listed(profile)]
+    profiles = [Profile.named(own) for own in _listed(profile)]
     methods = tuple(registry.use_method(method) for method in methods)
     if not methods:
         raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")

@@ -79,6 +79,13 @@ class PresetSettings(Settings):
             return cls._of_table(read_toml(path), Path(path).stem, Path(path).parent)
 
     @classmethod
+    def named(cls, given: str | Self) -> Self:
+        """Return the settings of a preset's name or of a TOML file's, or settings as they are; raises as these do."""
+        if not isinstance(given, str):
+            return given
+        return cls.load(given) if given.endswith(".toml") else cls.preset(given)
+
+    @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         """Return what a file in a folder says; its `description` is for its readers, unless it is a field."""
         if "description" not in cls.model_fields:

@@ -146,7 +146,7 @@ class Calibrate(opt.Command):
         if self.mm_per_px is not None and not self.presses.is_dir():
             raise ValueError("--predict takes the scale from the fit: leave out --mm-per-px")
         path = self._marked() if self.presses.is_dir() else self.presses
-        sensor = opt.named(render.Sensor, self.sensor)
+        sensor = render.Sensor.named(self.sensor)
         found = predict_presses(sensor, path, self.reference, self.quality)
         print("\n".join(prediction_lines(found)))
         write_comparisons(
@@ -168,7 +168,7 @@ class Calibrate(opt.Command):
                 self._marked() if self.presses.is_dir() else self.presses
             )
         if self.sensor is not None:
-            start = opt.named(render.Sensor, self.sensor)
+            start = render.Sensor.named(self.sensor)
         if self.ball_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.ball_mm) for press in presses)
         return start, reference, presses

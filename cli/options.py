@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
-from gelgap import domains, render
+from gelgap import domains
 from gelgap.assets.names import quoted
 from gelgap.cli.keys import Meanings
 
@@ -175,17 +175,6 @@ class GenerationOptions:
 
 
 LOCALLY = GenerationOptions()
-
-
-def named(kind: Any, name: str) -> Any:
-    """Return settings by a preset's name or from a TOML file, as `named(Sensor, "paper")`."""
-    return kind.load(name) if name.endswith(".toml") else kind.preset(name)
-
-
-def light_in(sensor: "render.Sensor", name: str | None) -> "render.Illumination":
-    """Return a named illumination; without a name the sensor's own, or i0."""
-    kind = render.Illumination
-    return named(kind, name) if name else sensor.illumination or kind.preset("i0")
 
 
 def check_values(command: Command) -> None:

@@ -88,7 +88,7 @@ class Press(opt.Command):
         if self.depth_mm is not None and self.force_n is not None:
             raise ValueError("depth_mm and force_n are both given: give one of them")
         values = given(self.set, self.keys())
-        base = opt.named(sim.Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        base = sim.Elastomer.named(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         elastomer = sim.Elastomer(**base | values["gel"])
         indenter = sim.load_indenter(self.indenter, **values["body"])
         roll_x_deg, roll_y_deg, twist_deg = self.turn_deg

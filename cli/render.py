@@ -59,8 +59,8 @@ class Render(opt.Command):
                 f"{error}; needed is an .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3), as written "
                 "by: gelgap press --save state.npz"
             ) from None
-        sensor = opt.named(render.Sensor, self.sensor)
-        light = opt.light_in(sensor, self.illumination)
+        sensor = render.Sensor.named(self.sensor)
+        light = render.Illumination.named(self.illumination or sensor.illumination or "i0")
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
