@@ -247,7 +247,7 @@ def _histograms(
 
 
 def force_scatter(
-    true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], labels: tuple[str, ...]
+    true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> "Figure":
     """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
 
