@@ -23,14 +23,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import (
-    LabelledFrames,
-    Labels,
-    PressStream,
-    join_domains,
-    open_domain,
-    with_labels,
-)
+from gelgap.domains import LabelledFrames, Labels, PressStream, join_domains, open_domain, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.run_labels import within_range
 from gelgap.domains.inspection import log_notes
@@ -244,7 +237,7 @@ def pretrain(
     RuntimeError
         If another process is training it.
     """
-    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    profile = Profile.named(profile)
     if len(folders) < 2:
         raise ValueError(f"{len(folders)} domains: pretraining needs 2 or more, the last to judge by")
     domains = [open_domain(folder) for folder in folders]
@@ -276,7 +269,7 @@ def pretrain_on_stream(
     ValueError
         If the profile is unknown, or no force of an epoch is within the declared range.
     """
-    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    profile = Profile.named(profile)
     out_dir, n = Path(out_dir), frames_per_epoch
     out_dir.mkdir(parents=True, exist_ok=True)
 

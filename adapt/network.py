@@ -104,7 +104,7 @@ RESNETS = {
 """Blocks of each layer, and a block's convolutions ([1], figure 5): channels over the layer's, and kernel size."""
 
 
-def _convolution(n_in: int, n_out: int, size: int, stride: int = 1) -> nn.Conv2d:
+def _convolution(n_in: int, n_out: int, size: int, stride: int) -> nn.Conv2d:
     return nn.Conv2d(n_in, n_out, size, stride, padding=size // 2, bias=False)
 
 

@@ -23,7 +23,7 @@ RESNETS = ("resnet18", "resnet50")
 """Feature extractors of gelgap's own."""
 _BACKBONES: "dict[str, tuple[Callable[[int], nn.Module], str]]" = {}
 """Functions that make a user's feature extractor, by file and function, each with the hash of its code."""
-_log = logging.getLogger(__name__)
+LOG = logging.getLogger(__name__)
 
 
 class CodeNotLoaded(ValueError):
@@ -71,7 +71,7 @@ def own_backbone(name: str) -> "Callable[[int], nn.Module]":
         )
     make, loaded = _BACKBONES[own]
     if code != loaded:
-        _log.warning(f"the code of feature extractor {own} is not that with which the network was trained")
+        LOG.warning("the code of feature extractor %s is not that with which the network was trained", own)
     return make
 
 

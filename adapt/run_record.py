@@ -14,7 +14,7 @@ from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.selection import LabelFree
 from gelgap.assets.array_file import read_arrays, write_arrays
-from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, sha256, write_checksums
+from gelgap.assets.checksums import checksum_problem, file_sha256, parse_json, sha256, write_checksums
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import write_whole
@@ -121,7 +121,7 @@ def load_run(folder: str | Path) -> Run:
     if problem := checksum_problem(path):
         raise _damaged(path, problem)
     try:
-        run = _RUN.validate_python({**read_json(path), "folder": folder})
+        run = _RUN.validate_python({**parse_json(path.read_bytes()), "folder": folder})
         if not all(map(is_plain_name, (run.source, run.target, run.method))):
             raise ValueError("source, target and method must be plain names")
         if not isinstance(run.profile.get("name"), str):

@@ -1,6 +1,7 @@
 """Doing runs: one stage 1 on a source, then each method on each target; what is finished is not repeated."""
 
 import json
+import logging
 import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +34,6 @@ from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
-from gelgap.assets.whole_file import warn
 from gelgap.domains import LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
@@ -41,6 +41,7 @@ from gelgap.domains.frames.stored import GeneratedDomain
 from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 
+LOG = logging.getLogger(__name__)
 _RESUME = "resume.pt"
 _METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
@@ -79,7 +80,7 @@ def adapt_folders(
     methods
         Their names, or `module:Class` or `file.py:Class` of your own.
     profile
-        One or several. The runs come by target, profile and method, in the given order.
+        One or several, by name, file or as settings. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force
         What is predicted, in which ranges, and contact classes: as for `split_for_training`.
     weights
@@ -97,7 +98,7 @@ def adapt_folders(
     RuntimeError
         If another process is writing one of these runs.
     """
-    profiles = [own if isinstance(own, Profile) else Profile.preset(own) for own in _listed(profile)]
+    profiles = [Profile.named(own) for own in _listed(profile)]
     methods = tuple(registry.use_method(method) for method in methods)
     if not methods:
         raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
@@ -215,7 +216,7 @@ class Stage1:
             try:
                 return ForceModel.load(self.checkpoint), 0.0
             except ValueError as error:
-                warn(f"{error}: stage 1 is trained again")
+                LOG.warning("%s: stage 1 is trained again", error)
         folder = self.checkpoint and self.checkpoint.with_suffix("")
         resume_file = folder and folder / _RESUME
         with sole_use(folder) if folder else nullcontext():

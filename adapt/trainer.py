@@ -5,6 +5,7 @@ add to a step.
 """
 
 import copy
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -45,9 +46,9 @@ from gelgap.adapt.network import (
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
 from gelgap.assets.progress import Progress, silent
-from gelgap.assets.whole_file import warn
 from gelgap.domains import LabelledFrames, with_labels
 
+LOG = logging.getLogger(__name__)
 MAX_SKIPPED_IN_A_ROW = 20
 COLLAPSED_SPREAD = 0.05
 HEALTHY_SPREAD = 0.3
@@ -469,7 +470,7 @@ def _resume(resume_file: Path | None, state: Mapping[str, Any]) -> list[EpochRec
         for name, part in state.items():
             part.load_state_dict(before[name])
         reason = " ".join(str(error).split())[:200]
-        warn(f"{resume_file} cannot be resumed from ({reason}): training begins anew")
+        LOG.warning("%s cannot be resumed from (%s): training begins anew", resume_file, reason)
         return []
 
 

@@ -55,11 +55,6 @@ def parse_json(data: bytes | str) -> Any:
         raise ValueError("it is nested too deeply") from None
 
 
-def read_json(path: Path) -> Any:
-    """Return the value of a JSON file; raises what `parse_json` does, and FileNotFoundError if there is none."""
-    return parse_json(path.read_bytes())
-
-
 def canonical_json(value: Any) -> bytes:
     """Return the one JSON text of a value: sorted keys, so that equal values hash equally."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()

@@ -4,6 +4,7 @@ The kernel gives a lock back however its process ends.
 """
 
 import contextlib
+import logging
 import os
 import signal
 import sys
@@ -13,8 +14,8 @@ from pathlib import Path
 from types import FrameType
 
 from gelgap.assets.checksums import sha256
-from gelgap.assets.whole_file import warn
 
+LOG = logging.getLogger(__name__)
 LOCK = ".lock"
 _SECONDS_BETWEEN_STOPS = 0.2
 
@@ -92,7 +93,9 @@ def key_lock(folder: Path, key: str, waiting: Callable[[], None] | None = None) 
             held.callback(path.unlink, missing_ok=True)
         except OSError as error:
             if os.access(folder, os.W_OK):
-                warn(f"{folder} takes no locks ({error}): processes that share it may do the same work twice")
+                LOG.warning(
+                    f"{folder} takes no locks ({error}): processes that share it may do the same work twice"
+                )
         yield
 
 

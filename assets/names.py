@@ -17,14 +17,13 @@ def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "kn
     "profile preset 'cpus' is unknown; known: cpu, paper; did you mean cpu?"
     """
     known = tuple(known)
-    near = closest_name(name, known)
-    return f"{what} {quoted(name)} is unknown; {of_known}: {', '.join(known)}{';' if near else ''}{near}"
+    return f"{what} {quoted(name)} is unknown; {of_known}: {', '.join(known)}{closest_name(name, known)}"
 
 
 def closest_name(name: str, known: Iterable[str]) -> str:
-    """Return the question whether the nearest of the known names was meant; nothing if none is near."""
+    """Return the question whether the nearest of the known names was meant, for the end of a sentence, if one is."""
     near = get_close_matches(name[:LONGEST_QUOTED], tuple(known), n=1)
-    return f" did you mean {near[0]}?" if near else ""
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def quoted(value: object) -> str:

@@ -79,6 +79,13 @@ class PresetSettings(Settings):
             return cls._of_table(read_toml(path), Path(path).stem, Path(path).parent)
 
     @classmethod
+    def named(cls, given: str | Self) -> Self:
+        """Return the settings of a preset's name or of a TOML file's, or settings as they are; raises as these do."""
+        if not isinstance(given, str):
+            return given
+        return cls.load(given) if given.endswith(".toml") else cls.preset(given)
+
+    @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         """Return what a file in a folder says; its `description` is for its readers, unless it is a field."""
         if "description" not in cls.model_fields:
@@ -113,9 +120,8 @@ def one_sentence(error: ValidationError, model: type[BaseModel] | None = None) -
             messages = options.setdefault(place[:-1], [])
             messages.append(detail["msg"].removeprefix(_FROM_VALUE_ERROR))
             sentences[place[:-1]] = f"{'.'.join(map(str, place[:-1]))}: {_of_the_meant(messages)}"
-        elif detail["type"] != "too_short" or not any(
-            inside
-        ):  # a list that lost its wrong items is not too short
+        # A list that lost its wrong items is not too short.
+        elif detail["type"] != "too_short" or not any(inside):
             sentences[place] = _sentence(detail, model)
     return "; ".join(sentences.values())
 
@@ -138,7 +144,7 @@ def _sentence(detail: Any, model: type[BaseModel] | None) -> str:
         message = "must be several values with commas between"
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]
-    if detail["type"] == "extra_forbidden" and model and (near := closest_name(field, model.model_fields)):
-        message += f",{near}"
+    if detail["type"] == "extra_forbidden" and model:
+        message += closest_name(field, model.model_fields)
     value = f" = {quoted(detail['input'])}" if has_value else ""
     return f"{field}{value}: {message}"

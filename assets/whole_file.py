@@ -1,7 +1,6 @@
 """Files that are there completely or not at all, also after a crash or on a full disk."""
 
 import contextlib
-import logging
 import os
 import tempfile
 from collections.abc import Iterator
@@ -51,8 +50,3 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write a file completely or not at all; raises what `whole_file` does."""
     with whole_file(path) as temporary:
         temporary.write_bytes(data)
-
-
-def warn(sentence: str) -> None:
-    """Log what is wrong with a file that is made again; the command line prints it on standard error."""
-    logging.getLogger("gelgap").warning(sentence)

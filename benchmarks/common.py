@@ -9,6 +9,7 @@ import dataclasses
 import io
 import itertools
 import json
+import logging
 import math
 import multiprocessing
 import os
@@ -28,11 +29,12 @@ from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, sha256, with_checksum, without_checksum
 from gelgap.assets.locks import defer_signals
-from gelgap.assets.whole_file import warn, write_whole
+from gelgap.assets.whole_file import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
+LOG = logging.getLogger(__name__)
 Setting = dict[str, Any]
 """One cell of a study's grid, by name: what JSON can hold."""
 Results = dict[str, Any]
@@ -214,7 +216,9 @@ def _read(file: Path) -> dict[str, dict[str, Any]]:
         except ValueError as error:
             if number < len(lines):  # the last one has no end if a kill cut it off
                 reason = " ".join(str(error).split())[:120]
-                warn(f"{file}, line {number}, is damaged ({reason}): left out, and measured again")
+                LOG.warning(
+                    "%s, line %d, is damaged (%s): left out, and measured again", file, number, reason
+                )
             continue
         records[key_of(record[_JOB])] = record
     arrays = {key: _read_arrays(file, key, record.pop(_ARRAYS, None)) for key, record in records.items()}

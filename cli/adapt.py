@@ -106,7 +106,7 @@ class Adapt(opt.Command):
         changes = given(self.set, self.keys())["profile"]
         if "backbone" in changes:
             changes["backbone"] = adapt.use_backbone(str(changes["backbone"]))
-        profiles = [opt.named(adapt.Profile, name).replace(**changes) for name in self.profile]
+        profiles = [adapt.Profile.named(name).replace(**changes) for name in self.profile]
         with shown_progress() as progress:
             runs = adapt.adapt_folders(
                 self.source,

@@ -1,6 +1,6 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
-import sys
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import atan2, degrees
@@ -12,6 +12,7 @@ import tyro
 
 from gelgap import render
 from gelgap.assets.names import comma_list
+from gelgap.assets.whole_file import write_whole
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from gelgap.render.calibration.calibrator import LightCalibration
     from gelgap.render.calibration.pictures import PressPicture
 
+LOG = logging.getLogger(__name__)
 HELD_OUT = {
     "unchanged": "unchanged reference",
     "table": "table of normals alone",
@@ -82,7 +84,7 @@ class Calibrate(opt.Command):
     presses: tyro.conf.Positional[Path]
     """Folder of pictures or videos; or a TOML file that lists pictures of pressed spheres; or gelsight or
     gelsight_mini, calibration pictures of the package taxim, or a folder with such a dataPack.npz."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")] = Path("fitted.toml")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.OutputFile(".toml")] = Path("fitted.toml")
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it. With --predict
     only pictures are written, to a folder of its name with -predicted."""
     reference: Annotated[Path | None, opt.optional("PATH", "the list's, the folder's or the package's")] = (
@@ -115,7 +117,7 @@ class Calibrate(opt.Command):
             check_presses(reference, presses)
             sensor = lit_from_dents(sensor, reference, presses)
         if doubt := doubt_of_scale(sensor.camera, presses):
-            print(f"gelgap: warning: {doubt}", file=sys.stderr)
+            LOG.warning(doubt)
         fit = calibrate_light(
             sensor,
             reference,
@@ -132,7 +134,7 @@ class Calibrate(opt.Command):
         print(f"wrote {self.out} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
-            print(f"gelgap: warning: {warning}", file=sys.stderr)
+            LOG.warning(warning)
         folder = self.out.with_name(f"{self.out.stem}-held-out")
         write_comparisons(held_out_pairs(fit, presses), folder, "held-out")
 
@@ -144,7 +146,7 @@ class Calibrate(opt.Command):
         if self.mm_per_px is not None and not self.presses.is_dir():
             raise ValueError("--predict takes the scale from the fit: leave out --mm-per-px")
         path = self._marked() if self.presses.is_dir() else self.presses
-        sensor = opt.named(render.Sensor, self.sensor)
+        sensor = render.Sensor.named(self.sensor)
         found = predict_presses(sensor, path, self.reference, self.quality)
         print("\n".join(prediction_lines(found)))
         write_comparisons(
@@ -166,7 +168,7 @@ class Calibrate(opt.Command):
                 self._marked() if self.presses.is_dir() else self.presses
             )
         if self.sensor is not None:
-            start = opt.named(render.Sensor, self.sensor)
+            start = render.Sensor.named(self.sensor)
         if self.ball_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.ball_mm) for press in presses)
         return start, reference, presses
@@ -186,7 +188,7 @@ class Calibrate(opt.Command):
         if found.without_contact:
             print(f"without contact: {comma_list(found.without_contact)}")
         for doubt in found.doubts:
-            print(f"gelgap: warning: {self.presses}: {doubt}", file=sys.stderr)
+            LOG.warning("%s: %s", self.presses, doubt)
         return found.path
 
     def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":
@@ -340,17 +342,14 @@ def write_comparisons(
     pairs: "Sequence[tuple[np.ndarray | None, np.ndarray]]", folder: Path, kind: str
 ) -> None:
     """Write a picture of each press: real, predicted, and 128 plus four times the difference; or predicted alone."""
-    import cv2
     import numpy as np
 
+    from gelgap.domains.formats.pictures import encode_png
     from gelgap.render.imaging import difference_picture
 
-    folder.mkdir(parents=True, exist_ok=True)
     for number, (real, predicted) in enumerate(pairs, start=1):
         shown = predicted
         if real is not None:
             shown = np.hstack([real, predicted, difference_picture(predicted, real, DIFFERENCE_GAIN)])
-        path = folder / f"{kind}-{number:02d}.png"
-        if not cv2.imwrite(str(path), shown[..., ::-1]):
-            raise RuntimeError(f"{path} could not be written")
+        write_whole(folder / f"{kind}-{number:02d}.png", encode_png(shown))
     print(f"wrote {len(pairs)} comparisons to {folder}")

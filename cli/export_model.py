@@ -20,7 +20,7 @@ class ExportModel(opt.Command):
 
     model: tyro.conf.Positional[Path]
     """A gelgap checkpoint: the model.pt of a run, or what `gelgap finetune --out` wrote."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".onnx")]
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.OutputFile(".onnx")]
     """The file to write; needs the extra `onnx`: pip install 'gelgap[onnx]'."""
     backbone: opt.OwnBackbone = None
 

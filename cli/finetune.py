@@ -33,7 +33,7 @@ class Finetune(opt.Command):
     """Or number of clips to learn whole, told apart by the column `clip`."""
     seed: opt.Seed = 0
     """Seed of the draw and of the training."""
-    out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".pt")] = None
+    out: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".pt")] = None
     """Write the fine-tuned checkpoint here."""
     backbone: opt.OwnBackbone = None
 

@@ -41,9 +41,7 @@ def check_what(words: tuple[str, ...]) -> None:
             Domain.parse(word)
         except ValueError as error:
             near = closest_name(word, DATA_SETS)
-            raise ValueError(
-                f"{error}; data sets: {', '.join(DATA_SETS)}{';' if near else ''}{near}"
-            ) from None
+            raise ValueError(f"{error}; data sets: {', '.join(DATA_SETS)}{near}") from None
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ class Generate(opt.Command):
                 "for example --name my-gel"
             )
         settings = making | {
-            "sensor": opt.named(render.Sensor, self.sensor),
+            "sensor": render.Sensor.named(self.sensor),
             "quality": self.quality,
             "seed": self.seed,
             "size_px": self.size,
@@ -181,13 +179,13 @@ class Generate(opt.Command):
                 f"--name = {self.name!r}: names one domain; give it with the name of one domain or none, "
                 "not with a data set or a file"
             )
-        elastomer = opt.named(sim.Elastomer, self.elastomer or Domain.parse(base).elastomer)
+        elastomer = sim.Elastomer.named(self.elastomer or Domain.parse(base).elastomer)
         recipe = domains.own_recipe(
             self.name,
             self.path,
             base=base,
             elastomer=sim.Elastomer(**elastomer.model_dump() | gel),
-            illumination=self.illumination and opt.named(render.Illumination, self.illumination),
+            illumination=self.illumination and render.Illumination.named(self.illumination),
             **settings,
         )
         if self.lights_like is None:

@@ -23,7 +23,7 @@ class Inspect(opt.Command):
     """Folder of one domain, or of several."""
     verify: opt.Flag = False
     """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
-    html: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
+    html: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
     gap_to: Annotated[Path | None, opt.optional("PATH")] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""

@@ -17,7 +17,6 @@ from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache
 from gelgap.cli.calibrate import Calibrate
-from gelgap.cli.checks import check_values
 from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
@@ -26,7 +25,7 @@ from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.keys import advice_on_keys, keys_listing
-from gelgap.cli.options import Command, output_folder
+from gelgap.cli.options import Command, check_values, output_folder
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
@@ -119,8 +118,6 @@ def check_cache() -> None:
     try:
         output_folder(folder)
     except ValueError as error:
-        if os.environ.get("GELGAP_CACHE"):
-            raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {error}") from None
         raise ValueError(f"the folder of the cache, {str(folder)!r}: {error} in GELGAP_CACHE") from None
 
 

@@ -3,23 +3,25 @@
 import os
 import re
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import FunctionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
-from gelgap import domains, render
+from gelgap import domains
+from gelgap.assets.names import quoted
 from gelgap.cli.keys import Meanings
 
 Check = Callable[[Any], object]
 """Raises ValueError or OSError for a value that cannot be used: what is wrong, and what would be right.
 
-It stands in the annotation of an option, and runs before anything starts. Checks that a room makes before its work
-need none here.
+It stands in the annotation of an option, and `check_values` runs it before anything starts. Checks that a room makes
+before its work need none here.
 """
+_POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
 
 class Command:
@@ -65,13 +67,15 @@ def input_folder(what: str) -> Check:
     return check
 
 
-@cache
-def output_file(*suffixes: str) -> Check:
-    """Return the check of a file that can be written, in a folder that is there."""
+class OutputFile:
+    """The check of a file that can be written, in a folder that is there; no two of a command may be the same."""
 
-    def check(path: Path) -> None:
-        if suffixes and path.suffix.lower() not in suffixes:
-            raise ValueError(f"the name must end in {', '.join(suffixes)}")
+    def __init__(self, *suffixes: str):
+        self.suffixes = suffixes
+
+    def __call__(self, path: Path) -> None:
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            raise ValueError(f"the name must end in {', '.join(self.suffixes)}")
         if path.is_dir():
             raise ValueError("is a folder; name a file")
         if not path.parent.is_dir():
@@ -79,8 +83,6 @@ def output_file(*suffixes: str) -> Check:
         if path.exists() and not os.access(path, os.W_OK):
             raise ValueError("cannot be written to; name another file")
         _check_takes_files(path.parent)
-
-    return check
 
 
 def output_folder(path: Path) -> None:
@@ -175,12 +177,49 @@ class GenerationOptions:
 LOCALLY = GenerationOptions()
 
 
-def named(kind: Any, name: str) -> Any:
-    """Return settings by a preset's name or from a TOML file, as `named(Sensor, "paper")`."""
-    return kind.load(name) if name.endswith(".toml") else kind.preset(name)
+def check_values(command: Command) -> None:
+    """Run the checks of a command's options.
+
+    Raises
+    ------
+    ValueError
+        If some fail; the message names each option, its value, and what is allowed.
+    """
+    groups = [value for value in vars(command).values() if is_dataclass(value)]
+    if problems := [problem for part in (command, *groups) for problem in _problems(part)]:
+        raise ValueError("; ".join(problems))
+    written: dict[Path, str] = {}
+    for name, path, notes in _options(command):
+        if path is not None and any(isinstance(note, OutputFile) for note in notes):
+            first = written.setdefault(path.resolve(), name)
+            if first != name:
+                raise ValueError(
+                    f"{first} and {name} name the same file, {path.resolve()}: give each its own"
+                )
 
 
-def light_in(sensor: "render.Sensor", name: str | None) -> "render.Illumination":
-    """Return a named illumination; without a name the sensor's own, or i0."""
-    kind = render.Illumination
-    return named(kind, name) if name else sensor.illumination or kind.preset("i0")
+def _options(options: Any) -> Iterator[tuple[str, Any, list[Any]]]:
+    """Yield the options of a command or of a group: how each is typed, its value, and the notes in its annotation."""
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in fields(options):
+        notes = _notes(hints[field.name])
+        name = field.name if _POSITIONAL in notes else f"--{field.name.replace('_', '-')}"
+        yield name, getattr(options, field.name), notes
+
+
+def _problems(options: Any) -> Iterator[str]:
+    for name, value, notes in _options(options):
+        for check in notes if value is not None else ():
+            if isinstance(check, FunctionType | OutputFile):
+                try:
+                    check(value)
+                except (ValueError, OSError) as error:
+                    typed = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+                    reason = getattr(error, "strerror", None)
+                    yield f"{name} = {quoted(typed)}: {f'cannot be used ({reason})' if reason else error}"
+
+
+def _notes(hint: Any) -> list[Any]:
+    """Return what stands in an annotation beside the type, also inside `X | None`."""
+    own = hint.__metadata__ if get_origin(hint) is Annotated else ()
+    return [*own, *(note for part in get_args(hint) for note in _notes(part))]

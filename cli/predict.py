@@ -3,16 +3,13 @@
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from gelgap import adapt
 from gelgap.assets.whole_file import whole_file
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _WIDTH = 10
 
@@ -37,7 +34,7 @@ class Predict(opt.Command):
     """Pictures (PNG, JPEG, BMP or TIFF), or folders of them."""
     camera: Annotated[int | None, opt.optional("INDEX"), opt.between(0, 99)] = None
     """In place of files, predict each picture of this camera until Ctrl-C."""
-    out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".csv")] = None
+    out: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".csv")] = None
     """Write the rows to this CSV file, too, with the labels' names (fz_n: Fz in N) as the header."""
     backbone: opt.OwnBackbone = None
 
@@ -47,6 +44,8 @@ class Predict(opt.Command):
             raise ValueError(
                 "name a model, and after it either pictures or folders, or a camera (--camera 0)"
             )
+        import pandas as pd
+
         from gelgap.assets.image_file import read_image
 
         model, reference = adapt.ForceModel.load(self.model, self.backbone), read_image(self.reference)
@@ -61,20 +60,16 @@ class Predict(opt.Command):
                     rows.append(row)
         if self.out is not None:
             with whole_file(self.out) as temporary:
-                _table(rows).to_csv(temporary, index=False, float_format="%.6g")
+                pd.DataFrame(rows).to_csv(temporary, index=False, float_format="%.6g")
             print(f"wrote {self.out}")
-
-
-def _table(rows: list[dict[str, object]]) -> "pd.DataFrame":
-    import pandas as pd
-
-    return pd.DataFrame(rows)
 
 
 def _text(rows: list[dict[str, object]], header: bool = True) -> str:
     """Return rows with symbols and units above them; rows that are printed one by one stand below each other."""
+    import pandas as pd
+
     from gelgap.domains.frames.labels import QUANTITIES
 
     units = {name: str(quantity) for name, quantity in QUANTITIES.items()}
-    table = _table(rows).rename(columns=units)
+    table = pd.DataFrame(rows).rename(columns=units)
     return table.to_string(index=False, header=header, float_format="%.4f", col_space=_WIDTH, justify="right")

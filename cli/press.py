@@ -70,13 +70,13 @@ class Press(opt.Command):
     """How finely mesh and load steps resolve the contact."""
     json: opt.Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
+    save: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
-    traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    traction: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
-    slip: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    slip: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write how far the membrane has slid over the indenter since the press straight down to this .npz."""
-    mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
+    mesh: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
     @classmethod
@@ -88,7 +88,7 @@ class Press(opt.Command):
         if self.depth_mm is not None and self.force_n is not None:
             raise ValueError("depth_mm and force_n are both given: give one of them")
         values = given(self.set, self.keys())
-        base = opt.named(sim.Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        base = sim.Elastomer.named(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         elastomer = sim.Elastomer(**base | values["gel"])
         indenter = sim.load_indenter(self.indenter, **values["body"])
         roll_x_deg, roll_y_deg, twist_deg = self.turn_deg

@@ -48,7 +48,7 @@ class Pretrain(opt.Command):
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
-        profile = opt.named(adapt.Profile, self.profile)
+        profile = adapt.Profile.named(self.profile)
         ranges = self.ranges and domains.PretrainingRanges.load(self.ranges)
         width, height = profile.image_size_px
         if self.size[0] < width or self.size[1] < height:

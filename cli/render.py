@@ -14,7 +14,7 @@ from gelgap.cli import options as opt
 if TYPE_CHECKING:
     import numpy as np
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Render(opt.Command):
 
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
-    """The PNG to write."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.OutputFile(*PICTURE_SUFFIXES)]
+    """The picture to write: PNG, JPEG, BMP or TIFF, by its name."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
     sensor: str = "paper"
@@ -37,9 +37,9 @@ class Render(opt.Command):
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""
     size: opt.PictureSize = (320, 240)
-    linear: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy")] = None
+    linear: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npy")] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
-    height_map: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy", ".png")] = None
+    height_map: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npy", ".png")] = None
     """Also write how far the membrane in each pixel stands towards the camera: mm in a .npy, codes in a 16-bit .png."""
     seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
     """Add the camera's shot and read noise, drawn from this seed."""
@@ -61,11 +61,10 @@ class Render(opt.Command):
                 "by: gelgap press --save state.npz"
             ) from None
         if not state.converged:
-            print(
-                f"gelgap: warning: {self.state}: did not converge: this is no picture of it", file=sys.stderr
-            )
-        sensor = opt.named(render.Sensor, self.sensor)
-        light = opt.light_in(sensor, self.illumination)
+            warning = f"{self.state}: did not converge: this is no picture of it"
+            print(f"gelgap: warning: {warning}", file=sys.stderr)
+        sensor = render.Sensor.named(self.sensor)
+        light = render.Illumination.named(self.illumination or sensor.illumination or "i0")
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
@@ -76,8 +75,8 @@ class Render(opt.Command):
                 np.save(file, linear)
         if self.seed is not None:
             linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.seed))
-        if not cv2.imwrite(str(self.out), render.encode(linear)[..., ::-1]):
-            raise RuntimeError(f"{self.out} could not be written")
+        _, picture = cv2.imencode(self.out.suffix, render.encode(linear)[..., ::-1])
+        write_whole(self.out, picture.tobytes())
         print(f"wrote {self.out}" + (f" and {self.linear}" if self.linear else ""))
 
     def _write_height_map(self, height_mm: "np.ndarray") -> None:

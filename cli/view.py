@@ -52,8 +52,10 @@ class View(opt.Command):
         if (folder := Path(self.sensor)).is_dir():
             page = MarksPage(folder, self.host, self.port)
         else:
-            sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
-            configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
+            sensor, gel = render.Sensor.named(self.sensor), sim.Elastomer.named(self.elastomer)
+            configuration = Configuration(
+                gel, sensor, render.Illumination.named(self.illumination or sensor.illumination or "i0")
+            )
             page = Page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)

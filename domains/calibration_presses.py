@@ -104,7 +104,7 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
     return PressSet(reference, presses, start)
 
 
-def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM_PER_PX) -> Sensor:
+def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float) -> Sensor:
     """Return what a calibration of these sets starts from: a camera 25 mm away, no markers, a bar for each channel.
 
     `azimuths` (3,) are where red, green and blue come from, in radians from +x towards +y.

@@ -59,7 +59,7 @@ class Domain:
         found = {domain.name: domain for domain in known_domains()}
         if name not in found:
             raise ValueError(
-                f"domain {quoted(name)} is unknown;{closest_name(name, found)} a name is m or wm (with or "
+                f"domain {quoted(name)} is unknown{closest_name(name, found)}; a name is m or wm (with or "
                 "without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
                 f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "

@@ -18,14 +18,13 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.calibration_presses import sphere_profiles
 from gelgap.domains.formats.convert import VIDEOS, video_pictures
 from gelgap.domains.formats.pictures import encode_png
+from gelgap.domains.frames.folders import REFERENCE_STEMS
 from gelgap.render.calibration.marks import FoundMark, find_marks
 from gelgap.render.calibration.pictures import ListedPress, PressList
 from gelgap.render.imaging import difference_picture
 
 LIST, SHEET = "presses.toml", "presses-sheet.png"
-_NAMED_REFERENCE = re.compile(
-    r"(^|[^a-z])(ref(erence)?|background|bg|blank|rest|untouched)($|[^a-z])", re.IGNORECASE
-)
+_NAMED_REFERENCE = re.compile(rf"(^|[^a-z])({'|'.join(REFERENCE_STEMS)})($|[^a-z])", re.IGNORECASE)
 _SMALL_PX = (80, 60)
 # An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,
 # and what that has at most of the next smallest.

@@ -17,7 +17,7 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differences, make_recipes, read_with_path
-from gelgap.render import Markers, Variation, vary_illumination, vary_sensor
+from gelgap.render import Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.render.renderer import reference_gap
 
 Value = float | int | str | bool | None
@@ -204,22 +204,26 @@ class DomainGap:
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
     colours = reference_gap(renderer_of(base), renderer_of(other))
-    before, after = _shown_markers(base), _shown_markers(other)
-    changed = "added" if before is None else "removed" if after is None else "changed"
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
         colour_difference=round(colours.mean, 3),
         colour_difference_p95=round(colours.percentile_95, 3),
-        markers="equal" if before == after else changed,
+        markers=markers_gap(*(shown_markers(own.sensor, own.markers) for own in (base, other))),
         fields=tuple(name for name, _, _ in differences(base.configuration(), other.configuration())),
     )
 
 
-def _shown_markers(recipe: DomainRecipe) -> Markers | None:
-    """Return the markers that a domain's pictures show; a flat field may have them where the sensor lists none."""
-    sensor = recipe.sensor
+def shown_markers(sensor: Sensor, wanted: bool) -> Markers | None:
+    """Return the markers that pictures show where they are wanted; a flat field may have them where none are listed."""
     has_markers = sensor.markers.layout != "none" or sensor.flat_field is not None
-    return sensor.markers if recipe.markers and has_markers else None
+    return sensor.markers if wanted and has_markers else None
+
+
+def markers_gap(before: Markers | None, after: Markers | None) -> str:
+    """Return whether markers are `equal`, `added`, `removed` or `changed`."""
+    if before == after:
+        return "equal"
+    return "added" if before is None else "removed" if after is None else "changed"
 
 
 def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
@@ -252,7 +256,9 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
             f"friction {' and '.join(frictions)}: as long as a contact sticks, no picture shows how much "
             "shear it would bear; where one gel slips and the other sticks, shear differs"
         )
-    if bare := [recipe.name for recipe in (source, target) if _shown_markers(recipe) is None]:
+    if bare := [
+        recipe.name for recipe in (source, target) if shown_markers(recipe.sensor, recipe.markers) is None
+    ]:
         notes.append(
             f"no markers on {' and '.join(bare)}: a single picture shows shear only in how the dent and its shading "
             "lean; how far the dent has moved is seen from first touch on (input touch, needs trajectories)"

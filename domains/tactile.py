@@ -61,7 +61,7 @@ class TactileSensor:
     elastomer, indenter
         What is pressed, and by what: a body of revolution.
     sensor, illumination
-        What looks, by name or as settings; by default its own LEDs light it, or i0.
+        What looks, by name, file or as settings; by default its own LEDs light it, or i0.
     deepest_mm, farthest_mm
         How deep, and how far from the anchor, the indenter can go.
     size_px, quality
@@ -91,11 +91,9 @@ class TactileSensor:
         markers: bool = True,
         noise_seed: int | None = None,
     ) -> None:
-        self.elastomer = Elastomer.preset(elastomer) if isinstance(elastomer, str) else elastomer
-        sensor = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
-        light = Illumination.preset(illumination) if isinstance(illumination, str) else illumination
+        self.elastomer, sensor = Elastomer.named(elastomer), Sensor.named(sensor)
+        light = Illumination.named(illumination or sensor.illumination or "i0")
         sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
-        light = light or sensor.illumination or Illumination.preset("i0")
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
         plan = LibraryPlan(self.elastomer, indenter or Sphere(), ranges, quality)
         self.library: PoseLibrary = plan.served_by(solve_all(plan.solves))

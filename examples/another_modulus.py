@@ -25,7 +25,7 @@ from gelgap.domains import open_domain
 
 
 def main(source: Path, target: Path, profile: str | Profile = "smoke", loads: int = 5, seed: int = 0) -> None:
-    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    profile = Profile.named(profile)
     frames = split_for_training(open_domain(source), open_domain(target), profile, seed)
     model = train_source(frames.source_train, profile, seed)
     forces_n, (low_n, high_n) = frames.target_train.force_n, model.force_range_n.T

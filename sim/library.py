@@ -54,8 +54,10 @@ _STICKING_TRAVELS, _SLIDING_TRAVELS = 4, 4
 _HELD_OUT_TRAVELS = (0.0, 1.5, 3.5, 5.5, 7.5)
 _SLIDES_FROM = 1.5
 # By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both. A mount gives way as the force grows.
-_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "errors": 0.0}
-_GROWTH |= {"elastic_energy_mj": 2.5, "slip_mm": 1.0, "sticking_fraction": 0.0, "min_volume_ratio": 0.0}
+_GROWTH = {
+    "force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "elastic_energy_mj": 2.5,
+    "slip_mm": 1.0, "errors": 0.0, "sticking_fraction": 0.0, "min_volume_ratio": 0.0,
+}  # fmt: skip
 _LARGEST_OF = ("residual", "iterations", "imbalance", "coulomb_excess", "tension")
 
 

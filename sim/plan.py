@@ -15,12 +15,7 @@ from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import diagnose
 from gelgap.sim.grading import check_sharpness
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.membrane import (
-    GRID_HALF_EXTENT_MM,
-    MembraneState,
-    polar_table,
-    pressure_table,
-)
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, polar_table, pressure_table
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.relief import bridged

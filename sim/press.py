@@ -60,7 +60,6 @@ def pose_for_force(
     normal_force_n: float,
     point_mm: tuple[float, float] = (0.0, 0.0),
     quality: str = "standard",
-    sharing: Sharing | None = None,
 ) -> Pose:
     """Return the pose whose depth gives a normal force (load control): `normal_force_n` is positive, as −Fz.
 
@@ -78,12 +77,12 @@ def pose_for_force(
     if not normal_force_n > 0:
         raise ValueError(f"normal_force_n = {normal_force_n!r}: must be more than 0 N")
     named = f"normal_force_n = {normal_force_n:g}"
-    depth_of = _depths_by_force(named, normal_force_n, elastomer, indenter, point_mm, quality, sharing)
+    depth_of = _depths_by_force(named, normal_force_n, elastomer, indenter, point_mm, quality)
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     sought = normal_force_n
     for _ in range(_DEPTH_CORRECTIONS + 1):
         pose = Pose(depth_mm=depth_of(sought), **place)
-        reached = -solve_pose(elastomer, indenter, pose, quality, sharing).force_n[2]
+        reached = -solve_pose(elastomer, indenter, pose, quality).force_n[2]
         if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
         sought *= normal_force_n / reached
@@ -114,7 +113,6 @@ def _depths_by_force(
     indenter: Indenter,
     point_mm: tuple[float, float],
     quality: str,
-    sharing: Sharing | None = None,
 ) -> Callable[[float], float]:
     """Return the depth as a function of normal forces up to about `most_n`, which a message calls `named`."""
     from scipy.interpolate import PchipInterpolator
@@ -124,7 +122,7 @@ def _depths_by_force(
         raise ValueError(f"{named}: no depth on this gel lets all of the indenter ({indenter.label}) touch")
     usual = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm, deepest)
     for end in (usual, deepest) if shallowest < usual < deepest else (deepest,):
-        depths, force = _descent(end, elastomer, indenter, point_mm, quality, sharing)
+        depths, force = _descent(end, elastomer, indenter, point_mm, quality)
         if force[-1] >= most_n:
             # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
             by_power = PchipInterpolator(force ** (2 / 3), depths)
@@ -141,13 +139,12 @@ def _descent(
     indenter: Indenter,
     point_mm: tuple[float, float],
     quality: str,
-    sharing: Sharing | None,
 ) -> tuple[Floats, Floats]:
     """Return depths in ten steps, as far as they converge, and normal forces there, both from 0."""
     depths = np.append(0.0, np.round(np.linspace(indenter.shallowest_mm, end_mm, 11)[1:], 9))
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     poses = tuple(Pose(depth_mm=float(depth), **place) for depth in depths[1:])
-    states = solve_poses(elastomer, indenter, poses, quality, sharing)
+    states = solve_poses(elastomer, indenter, poses, quality)
     force = np.array([0.0, *(-state.force_n[2] for state in states)])
     holds = [True, *(state.converged for state in states)] & (np.diff(force, prepend=-1.0) > 0)
     number = len(holds) if holds.all() else int(holds.argmin())

@@ -45,7 +45,7 @@ def membrane_mesh(
 
 
 def coloured_mesh(
-    state: MembraneState, values: NDArray[np.floating], most: float, every: int = 1
+    state: MembraneState, values: NDArray[np.floating], most: float, every: int
 ) -> trimesh.Trimesh:
     """Return the whole membrane, in mm, coloured by values (ny, nx) from 0 to `most`."""
     import matplotlib

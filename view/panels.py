@@ -8,7 +8,7 @@ import viser
 
 from gelgap.assets import html_page
 from gelgap.domains.formats.pictures import encode_jpeg
-from gelgap.domains.sweep import DomainGap
+from gelgap.domains.sweep import DomainGap, markers_gap, shown_markers
 from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker
 from gelgap.view.state import Configuration, Shown
 
@@ -121,10 +121,10 @@ class ComparePanel:
 
 def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> DomainGap:
     """Return the gap between two configurations, as `domain_gap` has it for domains, without fields."""
-    mean, percentile_95 = pictures.colour_difference(source.light, target.light)
-    marked = {(False, True): "added", (True, False): "removed"}.get((source.markers, target.markers), "equal")
+    seen = pictures.colour_gap(source.light, target.light)
+    marked = markers_gap(*(shown_markers(own.sensor, own.markers) for own in (source, target)))
     ratio = target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa
-    return DomainGap(ratio, mean, percentile_95, marked, fields=())
+    return DomainGap(ratio, seen.mean, seen.percentile_95, marked, fields=())
 
 
 def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.render import Camera, Illumination, Led, MembraneRenderer, RgbSpectrum, Sensor, encode
-from gelgap.render.imaging import picture_gap, srgb_decode
+from gelgap.render.imaging import srgb_decode
+from gelgap.render.renderer import reference_gap
 from gelgap.sim import MembraneState
 from gelgap.sim.problem import QualityName
 
@@ -43,7 +44,10 @@ class PictureMaker:
             lambda light, markers: self.renderer(light).reference(markers)
         )
         """The picture of the undeformed membrane under a light, with markers or without, and without noise."""
-        self.colour_difference = lru_cache(_KEPT_REFERENCES)(self._colour_difference)
+        self.colour_gap = lru_cache(_KEPT_REFERENCES)(
+            lambda one, other: reference_gap(self.renderer(one), self.renderer(other))
+        )
+        """The gap between the pictures of the undeformed membrane under two lights, without markers and noise."""
 
     def picture(self, light: Light, state: MembraneState, markers: bool, noise: bool) -> Picture:
         """Return the picture (240, 320, 3) of a membrane.
@@ -65,15 +69,16 @@ class PictureMaker:
             renderer = self._renderers[alike[-1]].relit(light.illumination)
         else:
             renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality)
-        if len(self._renderers) >= _KEPT_RENDERERS:
-            del self._renderers[next(iter(self._renderers))]
-        self._renderers[light] = renderer
+        keep(self._renderers, light, renderer, _KEPT_RENDERERS)
         return renderer
 
-    def _colour_difference(self, one: Light, other: Light) -> tuple[float, float]:
-        """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels."""
-        gap = picture_gap(self.reference(one, False), self.reference(other, False))
-        return gap.mean, gap.percentile_95
+
+def keep(kept: dict, key: object, value: object, most: int) -> None:
+    """Keep one more; the oldest goes where there are too many."""
+    kept.pop(key, None)
+    if len(kept) >= most:
+        del kept[next(iter(kept))]
+    kept[key] = value
 
 
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:

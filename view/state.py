@@ -14,7 +14,7 @@ from gelgap.sim.problem import QualityName
 from gelgap.sim.scene import is_interior
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solved import SolvedPose
-from gelgap.view.pictures import Light, Picture, PictureMaker
+from gelgap.view.pictures import Light, Picture, PictureMaker, keep
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6
 # One fewer than elsewhere: the page waits for it.
@@ -131,12 +131,12 @@ class LiveModel:
 
     def add_library(self, request: LibraryRequest, library: PoseLibrary) -> None:
         """Take in the library of a gel, and of all gels that share it."""
-        _keep(self._libraries, _library_keys(request), library)
+        keep(self._libraries, _library_keys(request), library, _KEPT_SOLUTIONS)
         self._before = None, None, None
 
     def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
         """Take in a pose that was solved by itself."""
-        _keep(self._exact, request, solved)
+        keep(self._exact, request, solved, _KEPT_SOLUTIONS)
         self._before = None, None, None
 
     def show(self, configuration: Configuration) -> Shown:
@@ -195,14 +195,6 @@ class LiveModel:
 
 def _flat(configuration: Configuration) -> SolvedPose:
     return solve_pose(configuration.elastomer, configuration.indenter, Pose(depth_mm=0.0))
-
-
-def _keep(kept: dict, key: object, value: object) -> None:
-    """Keep one more; the oldest goes where there are too many."""
-    kept.pop(key, None)
-    if len(kept) >= _KEPT_SOLUTIONS:
-        del kept[next(iter(kept))]
-    kept[key] = value
 
 
 @contextmanager

@@ -11,14 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.render import (
-    Coating,
-    Illumination,
-    Sensor,
-    Variation,
-    vary_illumination,
-    vary_sensor,
-)
+from gelgap.render import Coating, Illumination, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.render.light.leds import Emitter
 
 Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]

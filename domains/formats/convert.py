@@ -187,7 +187,7 @@ class Clip:
     lags: range = _LAGS
     notes: tuple[str, ...] = ()
 
-    def selected(self, every: int, lag: int | None = None) -> Selection:
+    def selected(self, every: int, lag: int | None) -> Selection:
         """Find the lag, unless it is given, and the reference, and select pictures in contact and those before."""
         LOG.info("converting %s/%s", self.session, self.name)
         self._check_times()

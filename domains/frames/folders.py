@@ -13,7 +13,7 @@ from unicodedata import normalize
 import numpy as np
 
 from gelgap.assets.checksums import sha256
-from gelgap.assets.image_file import SUFFIXES, visible_files
+from gelgap.assets.image_file import SUFFIXES, picture_files, visible_files
 from gelgap.assets.names import stays_inside
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
@@ -33,7 +33,8 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "nocontact")
+REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
+"""What pictures without contact are called."""
 REFERENCES = "references"
 IMAGES = "images"
 TABLES = (".csv", ".tsv")
@@ -57,9 +58,10 @@ def open_domain(folder: Path | str) -> StoredFrames:
     if _is_published(folder):
         return _published(folder)
     files = visible_files(folder, folder / IMAGES)
-    if problem := _layout_problem(folder, files):
+    pictures = picture_files(files)
+    if problem := _layout_problem(folder, files, pictures):
         raise FileNotFoundError(f"{folder} {problem}")
-    return _picture_folder(folder, files)
+    return _picture_folder(folder, files, pictures)
 
 
 def open_domains(folders: Path | str | Sequence[Path | str]) -> LabelledFrames:
@@ -83,7 +85,7 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
     return tuple(inside) or (Path(folder),)
 
 
-def _layout_problem(folder: Path, files: list[Path]) -> str | None:
+def _layout_problem(folder: Path, files: list[Path], pictures: list[Path]) -> str | None:
     """Return why a folder has not one table, or pictures alone, and what was looked for; None if it has."""
     tables = _tables(folder, files)
     if len(tables) == 1:
@@ -94,7 +96,7 @@ def _layout_problem(folder: Path, files: list[Path]) -> str | None:
             "with a row per picture"
         )
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
-    if not inside and any(not _is_reference(path) for path in _pictures(files)):
+    if not inside and not all(map(_is_reference, pictures)):
         sheets = [path.name for path in files if path.suffix.lower() in (".xlsx", ".xls", ".ods")]
         if sheets and not any(map(_is_reference, files)):
             return f"has pictures and no CSV table: save {', '.join(sheets)} as CSV, with a column picture"
@@ -115,10 +117,6 @@ def tables_in(folder: Path) -> list[Path]:
 
 def _tables(folder: Path, files: list[Path]) -> list[Path]:
     return [path for path in files if path.parent == folder and path.suffix.lower() in TABLES]
-
-
-def _pictures(files: list[Path]) -> list[Path]:
-    return [path for path in files if path.suffix.lower() in SUFFIXES]
 
 
 def _is_reference(picture: Path) -> bool:
@@ -232,7 +230,7 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     return paths, columns
 
 
-def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
+def _picture_folder(folder: Path, files: list[Path], pictures: list[Path]) -> PictureFiles:
     """Read a folder of pictures; a CSV table names them and gives their labels, or else none has any.
 
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
@@ -244,7 +242,7 @@ def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
         paths = picture_paths(tables[0], columns.pop("picture"))
     else:
         columns, notes = {}, []
-        paths = [path for path in _pictures(files) if not _is_reference(path)]
+        paths = [path for path in pictures if not _is_reference(path)]
         if others := Counter(
             "folders" if path.is_dir() else path.suffix.lower()
             for path in files
@@ -264,8 +262,8 @@ def _picture_folder(folder: Path, files: list[Path]) -> PictureFiles:
         told = Labels.of({name: ranges[name] for name in forces})
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
     own = _own_references(tables[0], columns) if tables else []
-    references = list(dict.fromkeys(own)) or [_shared_reference(folder, files, columns, paths, notes)]
-    if unnamed := sum(not _is_reference(path) for path in set(_pictures(files)) - {*paths, *references}):
+    references = list(dict.fromkeys(own)) or [_shared_reference(folder, pictures, columns, paths, notes)]
+    if unnamed := sum(not _is_reference(path) for path in set(pictures) - {*paths, *references}):
         notes.append(f"{unnamed} pictures have no row in the table: not read")
     if own:
         columns["reference_id"] = np.array([references.index(path) for path in own])
@@ -291,10 +289,10 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 
 
 def _shared_reference(
-    folder: Path, files: list[Path], columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
+    folder: Path, pictures: list[Path], columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
 ) -> Path:
-    """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
-    named = [path for path in _pictures(files) if _is_reference(path)]
+    """Return the picture called as in `REFERENCE_STEMS`, or else the frame that shows least contact, noted."""
+    named = [path for path in pictures if _is_reference(path)]
     if len(named) > 1:
         notes.append(f"{len(named)} pictures are called a reference: {named[0].name} is taken")
     if named:

@@ -46,7 +46,7 @@ def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarr
     return parts
 
 
-def draw_parts_in_strata(strata: np.ndarray, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
+def draw_parts_in_strata(strata: np.ndarray, seed: int, shares: Shares) -> np.ndarray:
     """Return the part (m,) of frames or groups of which `strata` (m,) says what each belongs to.
 
     Every stratum is shuffled and laid out evenly over [0, 1), each from another start, and the shares cut there: each

@@ -36,9 +36,12 @@ WHOLE_NUMBERS = {
     "step": ("step",),
 }
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
-PICTURE_NAMES = ("image", "picture", "frame", "img", "file", "path")
-PICTURE_NAMES += ("image path", "image file", "image name", "img path", "file path", "file name")
-TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
+TEXTS = GROUPS | {
+    "split": ("split",),
+    "reference": ("reference",),
+    "picture": ("image", "picture", "frame", "img", "file", "path",
+                "image path", "image file", "image name", "img path", "file path", "file name"),
+}  # fmt: skip
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
 # What a table without labels may hold as such: one force of several axes, or of none that is known.
 _FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|kraft|wrench|ft|load|f[\W_]?[xyzn]?)(?![a-z])", re.IGNORECASE)
@@ -54,8 +57,10 @@ UNITS = {
     "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
 }  # fmt: skip
 """What one of each unit is in gelgap's."""
-_LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
-_LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
+_LONG_UNITS = {
+    "newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um",
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
+}  # fmt: skip
 _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
 # What people and programs write where there is no value.
 EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "#nv", "null", "none")

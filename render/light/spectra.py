@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.checksums import read_json, sha256
+from gelgap.assets.checksums import parse_json, sha256
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import Settings
@@ -171,7 +171,7 @@ def _kept(path: Path) -> np.ndarray | None:
 @lru_cache(maxsize=8)
 def _read(path: Path, modified_ns: int) -> np.ndarray | None:
     try:
-        found = np.array(read_json(path), dtype=float)
+        found = np.array(parse_json(path.read_bytes()), dtype=float)
     except (OSError, ValueError, TypeError):
         return None
     return found if found.shape == (len(_WAVELENGTH_NM), 3) else None

@@ -209,17 +209,8 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
         for name, frames in (("one", source), ("two", source), ("late", target))
     ]
     first, second, late = map(str, folders)
-    arguments = [
-        "adapt",
-        "--source",
-        first,
-        second,
-        "--target",
-        late,
-        "--profile",
-        str(tmp_path / "tiny.toml"),
-    ]
-    arguments += ["--method", "dsan", "--out", str(tmp_path / "runs")]
+    arguments = f"adapt --source {first} {second} --target {late} --profile {tmp_path}/tiny.toml".split()
+    arguments += f"--method dsan --out {tmp_path}/runs".split()
     with pytest.raises(SystemExit) as stop:
         main([*arguments, "--set", "split_by=clip"])
     assert stop.value.code == 2

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.sim import Elastomer
 
 
 class Lamp(Settings):
@@ -83,7 +84,7 @@ def refusal(**values: object) -> str:
 
 def test_a_field_that_is_nearly_one_is_asked_about() -> None:
     told = refusal(lamps=[{"power": 1.0}])
-    assert told == "lamps.0: power: extra inputs are not permitted, did you mean power_w?"
+    assert told == "lamps.0: power: extra inputs are not permitted; did you mean power_w?"
 
 
 def test_of_several_kinds_the_one_that_was_meant_is_told() -> None:
@@ -95,3 +96,11 @@ def test_of_several_kinds_the_one_that_was_meant_is_told() -> None:
     assert told.startswith("spectrum: wavelength_nm.1 = 'red': ")
     assert refusal(spectrum={"colour": 1}) == "spectrum: must have peak_nm and width_nm, or wavelength_nm"
     assert refusal(lamps=[]).startswith("lamps = (): tuple should have at least 1 item")
+
+
+def test_settings_are_named_by_preset_or_file_or_are_there(tmp_path: Path) -> None:
+    (tmp_path / "gel.toml").write_text("young_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\n")
+    gel = Elastomer.named(str(tmp_path / "gel.toml"))
+    assert gel.young_modulus_mpa == 0.2
+    assert Elastomer.named(gel) is gel
+    assert Elastomer.named("b0") == Elastomer.preset("b0")

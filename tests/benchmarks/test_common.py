@@ -13,14 +13,7 @@ import pandas as pd
 import pytest
 
 from gelgap.adapt.result_table import ResultTable
-from gelgap.benchmarks.common import (
-    drawn_means,
-    interval,
-    key_of,
-    read_records,
-    run_missing,
-    write_json,
-)
+from gelgap.benchmarks.common import drawn_means, interval, key_of, read_records, run_missing, write_json
 
 GRID = [{"size": size, "ways": ("a", "b"), "seed": 0} for size in (3, 1, 2)]
 STUDY = """

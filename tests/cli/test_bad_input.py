@@ -11,14 +11,12 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from gelgap.cli.main import COMMANDS, main
+from gelgap.cli.options import OutputFile
 
 WRONG: dict[str, tuple[str, str]] = {
-    "between": (
-        "press --force-n nan",
-        "--force-n = 'nan': must lie in [1e-06, 10000] N",
-    ),
+    "between": ("press --force-n nan", "--force-n = 'nan': must lie in [1e-06, 10000] N"),
     "input_folder": ("export no-such-folder --out o", "no-such-folder"),
-    "output_file": (
+    "OutputFile": (
         "press --save file.txt/below.npz",
         "--save = 'file.txt/below.npz': the folder file.txt does not",
     ),
@@ -55,6 +53,8 @@ def _checks_in(hint: Any) -> Iterator[str]:
     for note in (*get_args(hint), *getattr(hint, "__metadata__", ())):
         if isinstance(note, FunctionType):
             yield note.__qualname__.partition(".")[0]
+        elif isinstance(note, OutputFile):
+            yield type(note).__name__
         else:
             yield from _checks_in(note)
 

@@ -1,6 +1,7 @@
 """`gelgap calibrate`: from files to a sensor file, with bad lists refused."""
 
 import re
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -38,12 +39,10 @@ def listed(folder: Path, text: str) -> Path:
     return path
 
 
-def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_presses_write_nothing(tmp_path: Path, refused: Callable[..., str]) -> None:
     presses = listed(tmp_path, "depth_mm = 0.6")
-    given = [str(presses), "--reference", str(tmp_path / "p.png"), "--sensor", "digit-like"]
-    with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", *given, "-o", str(tmp_path / "fitted.toml")])
-    assert "1 presses are too few" in capsys.readouterr().err
+    given = presses, "--reference", tmp_path / "p.png", "--sensor", "digit-like"
+    assert "1 presses are too few" in refused("calibrate", *given, "-o", tmp_path / "fitted.toml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.png", "presses.toml"]
 
 
@@ -97,7 +96,7 @@ def test_a_large_residual_is_warned_of(
             "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, fit=fit, **__: fit
         )
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
-        assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
+        assert ("gelgap: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
 
 def test_what_makes_a_fit_doubtful_is_said(
@@ -141,14 +140,12 @@ def test_contacts_that_are_small_for_their_ball_are_doubted() -> None:
     ],
 )
 def test_another_file_than_a_list_of_presses_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str | None, problem: str
+    tmp_path: Path, refused: Callable[..., str], name: str, content: str | None, problem: str
 ) -> None:
     if content is not None:
         (tmp_path / name).write_text(content)
-    given = [str(tmp_path / name), "--reference", str(tmp_path / "p.png"), "--mm-per-px", "0.03"]
-    with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", *given, "-o", str(tmp_path / "own.toml")])
-    said = capsys.readouterr().err
+    given = tmp_path / name, "--reference", tmp_path / "p.png", "--mm-per-px", "0.03"
+    said = refused("calibrate", *given, "-o", tmp_path / "own.toml")
     assert f"{name} {problem}" in said
     assert "needs a TOML file with a table [[presses]] for each image" in said
 
@@ -158,24 +155,19 @@ def test_another_file_than_a_list_of_presses_is_refused(
     [("0", "must lie in [0.001, 1] mm per pixel"), ("0.01", "images would show 0.32 mm of the gel")],
 )
 def test_a_scale_that_cannot_be_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: str, said: str
+    tmp_path: Path, refused: Callable[..., str], scale: str, said: str
 ) -> None:
-    given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
-    with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", *given, "--mm-per-px", scale, "-o", str(tmp_path / "own.toml")])
-    assert said in capsys.readouterr().err
+    given = listed(tmp_path, "depth_mm = 0.6"), "--reference", tmp_path / "p.png", "--mm-per-px", scale
+    assert said in refused("calibrate", *given, "-o", tmp_path / "own.toml")
 
 
-def test_what_is_missing_beside_the_presses_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", str(listed(tmp_path, "depth_mm = 0.6")), "-o", str(tmp_path / "fitted.toml")])
-    assert "needs --reference" in capsys.readouterr().err
+def test_what_is_missing_beside_the_presses_is_said(tmp_path: Path, refused: Callable[..., str]) -> None:
+    presses = listed(tmp_path, "depth_mm = 0.6")
+    assert "needs --reference" in refused("calibrate", presses, "-o", tmp_path / "fitted.toml")
 
 
 def test_a_folder_that_takes_no_list_is_refused_before_anything_is_solved(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "presses").mkdir()
 
@@ -185,7 +177,5 @@ def test_a_folder_that_takes_no_list_is_refused_before_anything_is_solved(
 
     monkeypatch.setattr("tempfile.TemporaryFile", lambda dir: temporary_file(dir) or nullcontext())
     monkeypatch.setattr("gelgap.domains.press_folder.mark_presses", lambda *_: pytest.fail("solved"))
-    given = ["--ball-mm", "3", "--mm-per-px", "0.05", "-o", str(tmp_path / "a.toml")]
-    with pytest.raises(SystemExit, match="2"):
-        main(["calibrate", str(tmp_path / "presses"), *given])
-    assert "presses cannot be written to (Read-only file system)" in capsys.readouterr().err
+    given = tmp_path / "presses", "--ball-mm", "3", "--mm-per-px", "0.05", "-o", tmp_path / "a.toml"
+    assert "presses cannot be written to (Read-only file system)" in refused("calibrate", *given)

@@ -57,17 +57,9 @@ def test_a_picture_without_contact_makes_domains_in_lights_like_its(
 ) -> None:
     cv2.imwrite(str(tmp_path / "reference.png"), np.full((48, 64, 3), 120, np.uint8))
     (tmp_path / "lamp.toml").write_text(LAMP)
-    command = [
-        "generate",
-        "wmb0i0",
-        "--lights-like",
-        tmp_path / "reference.png",
-        "--dry-run",
-        "--path",
-        "smoke",
-    ]
-    command += ["--size", "64", "48", "--out", tmp_path / "data"]
-    main([*map(str, command), "--name", "mine", "--illumination", str(tmp_path / "lamp.toml")])
+    command = f"generate wmb0i0 --lights-like {tmp_path}/reference.png --dry-run --path smoke".split()
+    command += f"--size 64 48 --out {tmp_path}/data".split()
+    main([*command, "--name", "mine", "--illumination", str(tmp_path / "lamp.toml")])
     assert "domains  mine-1, mine-2, mine-3, mine-4\n" in capsys.readouterr().out
     assert "--name is missing" in refused(*command)
 
@@ -150,18 +142,7 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-ADAPT = [
-    "adapt",
-    "--source",
-    "real",
-    "--target",
-    "real",
-    "--out",
-    "runs",
-    "--profile",
-    "mine.toml",
-    "--method",
-]
+ADAPT = ["adapt", "--source", "real", "--target", "real", "--profile", "mine.toml", "--method"]
 
 
 def test_an_own_profile_and_method_run(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,14 +49,7 @@ def test_missing_and_unknown_files_are_found(data: Path, tmp_path: Path):
 def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path: Path):
     page = write_overview(data / "mb0i0", tmp_path / "page.html", other=data / "mb0i1").read_text()
     titles = re.findall("<h2>(.*?)</h2>", page)
-    assert titles == [
-        "Counts",
-        "Labels and contacts",
-        "Samples",
-        "Frames left out",
-        "Gap",
-        "Provenance",
-    ]
+    assert titles == ["Counts", "Labels and contacts", "Samples", "Frames left out", "Gap", "Provenance"]
     assert not re.search(r"(src|href)=['\"](?!data:)", page)
     assert "26 paired contacts" in page
     assert page.count("<img") >= 15

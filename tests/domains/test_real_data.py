@@ -312,7 +312,7 @@ def test_a_picture_is_named_from_its_folder(tmp_path: Path, name: str):
 
 
 def test_pictures_saved_twice_are_counted(tmp_path: Path):
-    for name in ("0.png", "0.jpg", "1.png", "rest.png"):
+    for name in ("0.png", "0.jpg", "1.png", "blank.png"):
         picture(tmp_path / name, 60)
     data = open_domain(tmp_path)
     assert len(data) == 3

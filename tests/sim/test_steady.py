@@ -84,9 +84,7 @@ def test_what_is_not_steady_is_solved_twice_as_far_before_anything_else_and_a_pr
         problem_of(Pose(0.2), Pose(0.2, 1.0), gel=GEL.model_copy(update={"static_friction": 0.4})),
     ],
 )
-def test_what_turns_back_or_has_a_memory_is_solved_to_its_end(
-    problem: ContactProblem,
-) -> None:
+def test_what_turns_back_or_has_a_memory_is_solved_to_its_end(problem: ContactProblem) -> None:
     assert steady_slide(problem) is None
 
 

@@ -65,6 +65,8 @@ def test_the_gap_on_the_page_is_that_of_the_domains(
     assert seen.colour_difference == pytest.approx(recorded.colour_difference, abs=1e-3)
     assert seen.colour_difference_p95 == pytest.approx(recorded.colour_difference_p95, abs=1e-3)
     assert seen.markers == recorded.markers == "removed"
+    for sensor, said in (("digit-like", "removed"), ("gelsight-mini-like", "changed")):
+        assert compare(start, replace(start, sensor=Sensor.preset(sensor)), PictureMaker()).markers == said
 
 
 def test_a_sensor_that_a_recipe_cannot_hold_is_refused(start: Configuration) -> None:
