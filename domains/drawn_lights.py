@@ -19,8 +19,6 @@ CANDIDATES = 1000
 KINDS = ("i0", "i1", "i2")
 """Presets around which lights are drawn."""
 _HEIGHT_PX = 30
-# So many LEDs have as many orders as 64 bits can tell: of more, the last ones exchange their spectra.
-_MOST_EXCHANGED = 20
 _SPREAD = Variation(led_position_mm=1.0, led_angle_deg=10, led_drive=0.3, led_peak_nm=10, led_cct=0.2)
 
 
@@ -33,7 +31,8 @@ def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illuminati
     rng = np.random.default_rng([number, LIGHTS])
     base = kinds[int(rng.integers(len(kinds)))]
     left, spectra = [led.spectrum for led in base.leds], []
-    order = int(rng.integers(math.factorial(min(len(left), _MOST_EXCHANGED))))  # which permutation of them
+    # Which permutation of them; 64 bits tell those of 20, so that of more the last 20 exchange theirs.
+    order = int(rng.integers(math.factorial(min(len(left), 20))))
     while left:
         chosen, order = divmod(order, math.factorial(len(left) - 1))
         spectra.append(left.pop(chosen))
