@@ -94,8 +94,8 @@ def split_for_training(
     ------
     ValueError
         If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
-        wrong, fewer than two target frames can be trained on, or what is shown of trajectories is not possible
-        (`check_trajectories`).
+        wrong, fewer than two target frames can be trained on, the target is a source too and its test frames would be
+        trained on, or what is shown of trajectories is not possible (`check_trajectories`) or only partly labelled.
     """
     labelled, target, names = labelled_for_run(source, target, labels)
     is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
@@ -110,6 +110,17 @@ def split_for_training(
         is_labelled,
     )
     check_trajectories((labelled, target), split, profile, names)
+    if profile.needs_trajectories:
+        _check_wholly_labelled(source, names)
+        _check_wholly_labelled(target, names)
+    may_differ = profile.split_by in ("random", "given") and (
+        len(source.members) > 1 or not is_labelled.all()
+    )
+    if may_differ and target.digest in [own.digest for own in source.members]:
+        raise ValueError(
+            f"target {target.name} is a source too, and split_by = {profile.split_by!r} would train on its test "
+            "frames: set it to point or a column"
+        )
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
@@ -192,6 +203,7 @@ class Draw(IntEnum):
     METHOD = 11
     SHIFTS = 12
     TURNS = 13
+    TORCH = 14
 
 
 def generator(*key: int) -> np.random.Generator:
@@ -272,6 +284,16 @@ def check_trajectories(
                 f"split_by = {profile.split_by!r} divides trajectory {number} of {frames.name}; a sequence needs it "
                 f"whole: set split_by to point or {TRAJECTORY}"
             )
+
+
+def _check_wholly_labelled(frames: LabelledFrames, names: Sequence[str]) -> None:
+    """Check that frames of a trajectory have these labels all or none: those without would be missing before others."""
+    lacks, trajectory = np.isnan(frames.values_of(names)).any(axis=1), trajectory_of(frames)
+    if len(np.intersect1d(trajectory[lacks], trajectory[~lacks])):
+        raise ValueError(
+            f"a trajectory of {frames.name} has frames with and without {', '.join(names)}: label all of them or none, "
+            "as each is shown with those before it"
+        )
 
 
 def _check_turning(names: Sequence[str]) -> None:
