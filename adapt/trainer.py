@@ -88,7 +88,7 @@ def train_source(
     if INPUTS[profile.input].frozen and weights is None:
         raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
-        load_start(model.network, Path(weights), source.labels.names)
+        load_start(model.network, Path(weights), source.labels.names, profile)
     with torch_threads(profile.threads), torch.random.fork_rng(devices=[]):
         records = train(
             model.network,

@@ -91,9 +91,7 @@ def export(
             f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
         )
     if format_name == "paper" and (several := [own.name for own in domains if len(own.rest_pictures) > 1]):
-        raise ValueError(
-            f"data set {several[0]} has several references, format paper one: export as webdataset"
-        )
+        raise ValueError(f"data set {several[0]} has several references, paper one: export as webdataset")
     if split_by is not None:
         for frames in domains:
             split = np.empty(len(frames), dtype=object)
@@ -140,10 +138,7 @@ def _paper(frames: LabelledFrames, folder: Path) -> None:
 
 
 def _webdataset(frames: StoredFrames, folder: Path) -> None:
-    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `reference.png` beside them.
-
-    Of several references the further ones are `reference-1.png` and so on, by the frames' `reference_id`.
-    """
+    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, beside them `reference.png`, `reference-1.png`, …."""
     for number, read in enumerate(frames.rest_pictures):
         (folder / (f"reference-{number}.png" if number else "reference.png")).write_bytes(encode_png(read()))
     columns = {name: values.tolist() for name, values in frames.columns.items()}

@@ -368,8 +368,9 @@ class ArrayFrames(LabelledFrames):
 
     @cached_property
     def digest(self) -> str:
-        found = hashlib.sha256(self.name.encode())
-        for array in (self._images, self.reference, self.label_values, self.contact_class, self.point_id):
+        columns = {name: values.tolist() for name, values in self.columns.items()}
+        found = hashlib.sha256(repr((self.name, self.cameras, columns)).encode())
+        for array in (self._images, self.reference):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
 
@@ -403,8 +404,7 @@ class DerivedFrames(LabelledFrames):
         self.rest_pictures, self.cameras = whole.rest_pictures, whole.cameras
         self._reduced_references = whole._reduced_references
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
-        self.n_classes = n_classes or whole.n_classes
-        self.labels = whole.labels if labels is None else labels
+        self.n_classes, self.labels = n_classes or whole.n_classes, whole.labels if labels is None else labels
         self.unconverged = whole.unconverged if indices is None else 0
         self._loaded: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
 

@@ -36,7 +36,6 @@ _ALIASES = {"inpainting": "wmb0i0"}
 REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "nocontact")
 REFERENCES = "references"
 IMAGES = "images"
-_UNCOMPRESSED = (".bmp", ".tif", ".tiff")
 TABLES = (".csv", ".tsv")
 
 
@@ -130,9 +129,8 @@ class PictureFiles(StoredFrames):
     """A data set whose pictures are files of their own, `picture_paths`, one per frame.
 
     It has one rest picture or several, of which the column `reference_id` says which is a frame's own. The digest is
-    made from names, sizes and times of change of the pictures, of `further_files` (tables and rest pictures) and of
-    `sensor.toml`, and from the bytes of uncompressed pictures. That file beside them is a sensor's, or has one line,
-    such as `mm_per_px = 0.05`.
+    made from names, sizes and times of change of all files, `further_files` are tables and rest pictures, and from the
+    bytes of uncompressed ones. A file `sensor.toml` is a sensor's, or has one line, such as `mm_per_px = 0.05`.
     """
 
     def __init__(
@@ -154,7 +152,7 @@ class PictureFiles(StoredFrames):
         paths = [*self.picture_paths, *self.further_files, *self.folder.glob(SENSOR_FILE)]
         stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
         # Uncompressed pictures all have one size, and unpacked archives often one time of change.
-        stats += [(file_sha256(path),) for path in paths if path.suffix.lower() in _UNCOMPRESSED]
+        stats += [(file_sha256(path),) for path in paths if path.suffix.lower() in (".bmp", ".tif", ".tiff")]
         return sha256(repr(stats).encode())
 
     @cached_property

@@ -129,7 +129,7 @@ def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: 
         (tmp_path / "own" / f"{name}.png").write_bytes(picture)
     rows = "image,reference,fx_n,fy_n,fz_n\na.png,rest-a.png,0,0,-1\nb.png,rest-b.png,0,0,-2\n"
     (tmp_path / "own" / "table.csv").write_text(rows)
-    with pytest.raises(ValueError, match="own has several references, format paper one"):
+    with pytest.raises(ValueError, match="own has several references, paper one"):
         export(tmp_path / "own", "paper", tmp_path / "paper")
     (folder,) = export(tmp_path / "own", "webdataset", tmp_path / "tars")
     levels = [read_image(folder / name).mean() for name in ("reference.png", "reference-1.png")]

@@ -197,7 +197,7 @@ def test_an_entry_is_trained_beside_its_controls(tmp_path, monkeypatch):
     assert len(bounds) == len(GROUPS) * len(SEEDS)
     assert json.loads(json.dumps(bounds[0]))["data"] == board.DATA
     (tmp_path / "seer.py").write_text(TEN_LINES + "    uses_target_labels = True\n")
-    with pytest.raises(ValueError, match=r"seer\.MeanMatching: what learns from the target's labels"):
+    with pytest.raises(ValueError, match=r"seer\.MeanMatching: it learns from the target's labels"):
         leaderboard.measure(Study.at(tmp_path / "cpu", methods=(f"{tmp_path / 'seer.py'}:MeanMatching",)))
     with pytest.raises(ValueError, match="the leaderboard's sensors have no markers"):
         entry_grid(("adabn",), ("markers",))
