@@ -51,7 +51,7 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     titles = method_titles(runs)
     rows = [_name(run, titles) | {"error": _mean_mae(run.target_test)} for run in runs]
     known = {row["method"] for row in rows}
-    for run in {(run.group, run.seed): run for run in runs}.values():
+    for run in {(run.group, run.seed, _mean_mae(run.target_constant_mean)): run for run in runs}.values():
         rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
         rows += [
             _name(run, titles) | {"method": name, "error": _mean_mae(error)}
@@ -68,8 +68,8 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     unit = shared_unit(runs[0].labels) or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = "Sorted by error; another seed or processor may well change the order of near ones. "
-    if mixed := int(pd.DataFrame([_name(run, titles) for run in runs]).duplicated().sum()):
-        note += f"± is not over seeds alone: {mixed} runs differ from others in settings, data or weights. "
+    if mixed := int(pd.DataFrame(rows).duplicated(["group", "method", "seed"]).sum()):
+        note += f"± is not over seeds alone: {mixed} errors differ from others in settings, data or weights. "
     note += f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
     return ResultTable.of(
         f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note.strip()

@@ -149,7 +149,7 @@ def test_profiles_that_differ_are_told_apart_and_each_judged_on_its_own_frames(
         f"adabn, image_size_px={size}, split_by={by}"
         for size, by in (([40, 32], "random"), ([32, 32], "point"))
     }
-    assert "1 runs differ from others in settings, data or weights" in table.note
+    assert "errors differ from others in settings, data or weights" in table.note
     assert "adabn, image_size_px" in write_report(tmp_path).read_text(encoding="utf-8")
 
 
