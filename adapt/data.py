@@ -154,7 +154,7 @@ def split_for_training(
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
-    And, where markers are shown, one for each domain of whose view the profile's span is less than half.
+    And one where several sources share a map, and, for markers, for each domain of whose view less than half is shown.
 
     Raises
     ------
@@ -173,6 +173,9 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         for name, w0, h0 in sizes
         if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
     ]
+    if profile.input in ("calibrated", "standardised") and len(source.members) > 1:
+        told = f"input {profile.input} finds one map for all {len(source.members)} sources"
+        notes.append(f"{told}: in different lights it fits none of them")
     if profile.input == "markers":
         notes += [note for frames in (*source.members, target) for note in _span_notes(frames, profile)]
     return tuple(notes)

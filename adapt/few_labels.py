@@ -285,8 +285,7 @@ def pretrain_on_stream(
         return stream.frames(epoch * n, (epoch + 1) * n)
 
     first = frames_of_epoch(0)
-    # An epoch need not come to all presses.
-    key = sha256(f"{stage1_key(first, profile, seed)} {stream.ranges!r}".encode())
+    key = sha256(f"{stage1_key(first, profile, seed)} {stream.ranges!r}".encode())  # it has not all presses
     resume_file = out_dir / f"stream-state-{key[:8]}.pt"
     model = train_source(
         first, profile, seed, resume_file=resume_file, progress=progress, frames_of_epoch=frames_of_epoch

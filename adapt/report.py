@@ -223,7 +223,6 @@ def _figures(runs: Sequence[Run]) -> list[NamedFigure]:
     what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
     name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
     if "target_true_n" in first:
-        # Profiles may split a target in several ways.
         forces = {method: (a["target_true_n"], a["target_predicted_n"]) for method, a in arrays.items()}
         scatter = force_scatter(forces, labels)
         shown = NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter)

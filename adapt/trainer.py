@@ -287,8 +287,7 @@ def train(
     for epoch in range(len(records), epochs):
         log = EpochLog()
         network.train()
-        # Of dropout, which only feature extractors and methods of one's own have.
-        torch.manual_seed(int(generator(seed, Draw.TORCH, epochs, epoch).integers(2**63)))
+        torch.manual_seed(int(generator(seed, Draw.TORCH, epochs, epoch).integers(2**63)))  # of dropout
         if frames_of_epoch is not None and epoch > 0:
             drawn = frames_of_epoch(epoch)
             del source  # one domain's pictures at a time

@@ -90,7 +90,7 @@ class Study:
         return self.profile == "smoke"
 
     def known_methods(self) -> tuple[str, ...]:
-        """Return the chosen methods, each after its controls; one's own are known now, and may read no target labels."""
+        """Return the chosen methods, each after its controls; one's own are known now, and read no target labels."""
         found: list[str] = []
         for method in map(use_method, self.methods):
             if find_method(method).uses_target_labels and method != board.UPPER_BOUND:

@@ -7,7 +7,7 @@ import torch
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
 from gelgap.adapt.inputs import INPUTS, Found, InputMap
-from gelgap.domains import ArrayFrames
+from gelgap.domains import ArrayFrames, join_domains
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
@@ -192,6 +192,15 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     for own, other in zip(trained.backbone.parameters(), start.backbone.parameters(), strict=True):
         torch.testing.assert_close(own, other)
     assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
+
+
+def test_a_map_that_several_sources_share_is_noted(source, target, tinted, profile):
+    several, calibrated = join_domains([source, tinted]), profile.replace(input="calibrated")
+    (note,) = size_notes(several, target, calibrated)
+    assert (
+        note == "input calibrated finds one map for all 2 sources: in different lights it fits none of them"
+    )
+    assert size_notes(source, target, calibrated) == size_notes(several, target, profile) == ()
 
 
 def test_a_map_is_a_matrix_and_an_offset():
