@@ -154,7 +154,7 @@ def split_for_training(
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
-    And one where several sources share a map, and, for markers, for each domain of whose view less than half is shown.
+    And one on a map that does not fit, and, for markers, for each domain of whose view less than half is shown.
 
     Raises
     ------
@@ -174,8 +174,9 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
     ]
     if profile.input in ("calibrated", "standardised") and len(source.members) > 1:
-        told = f"input {profile.input} finds one map for all {len(source.members)} sources"
-        notes.append(f"{told}: in different lights it fits none of them")
+        notes.append(f"input {profile.input} finds one map for all sources: in different lights it fits none")
+    if profile.input == "calibrated" and profile.colour_mixing:
+        notes.append("input calibrated: colour_mixing turns slopes as if they were colours; set it to 0")
     if profile.input == "markers":
         notes += [note for frames in (*source.members, target) for note in _span_notes(frames, profile)]
     return tuple(notes)

@@ -129,8 +129,8 @@ class PictureFiles(StoredFrames):
     """A data set whose pictures are files of their own, `picture_paths`, one per frame.
 
     It has one rest picture or several, of which the column `reference_id` says which is a frame's own. The digest is
-    made from names, sizes and times of change of all files, `further_files` are tables and rest pictures, and from the
-    bytes of uncompressed ones. A file `sensor.toml` is a sensor's, or has one line, such as `mm_per_px = 0.05`.
+    made from names, sizes and times of change of all files, and from the bytes of uncompressed pictures, which have one
+    size. `further_files` are tables and rest pictures; `sensor.toml` a sensor's, or a line such as `mm_per_px = 0.05`.
     """
 
     def __init__(
@@ -151,7 +151,6 @@ class PictureFiles(StoredFrames):
     def digest(self) -> str:
         paths = [*self.picture_paths, *self.further_files, *self.folder.glob(SENSOR_FILE)]
         stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
-        # Uncompressed pictures all have one size, and unpacked archives often one time of change.
         stats += [(file_sha256(path),) for path in paths if path.suffix.lower() in (".bmp", ".tif", ".tiff")]
         return sha256(repr(stats).encode())
 

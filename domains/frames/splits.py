@@ -102,8 +102,8 @@ def split_domains(
 
     Each domain is divided as `split_frames` divides it. By `point` or a column, the split is shared: a group that both
     domains have is in the same part of both, and the source's held-out groups are at least the target's test groups, so
-    that no group of a test frame was trained on. Groups that only one of the domains has are divided by themselves. A
-    domain that is source and target has its test frames held out, too.
+    that no group of a test frame was trained on; so are the test frames of a domain that is source and target. Groups
+    that only one of the domains has are divided by themselves.
 
     Parameters
     ----------

@@ -197,9 +197,9 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
 def test_a_map_that_several_sources_share_is_noted(source, target, tinted, profile):
     several, calibrated = join_domains([source, tinted]), profile.replace(input="calibrated")
     (note,) = size_notes(several, target, calibrated)
-    assert (
-        note == "input calibrated finds one map for all 2 sources: in different lights it fits none of them"
-    )
+    assert note == "input calibrated finds one map for all sources: in different lights it fits none"
+    (note,) = size_notes(source, target, calibrated.replace(colour_mixing=0.5))
+    assert "colour_mixing turns slopes as if they were colours" in note
     assert size_notes(source, target, calibrated) == size_notes(several, target, profile) == ()
 
 
