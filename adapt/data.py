@@ -113,14 +113,12 @@ def split_for_training(
     if profile.needs_trajectories:
         _check_wholly_labelled(source, names)
         _check_wholly_labelled(target, names)
+    # Drawn anew for each, the parts of both differ.
     may_differ = profile.split_by in ("random", "given") and (
         len(source.members) > 1 or not is_labelled.all()
     )
     if may_differ and target.digest in [own.digest for own in source.members]:
-        raise ValueError(
-            f"target {target.name} is a source too, and split_by = {profile.split_by!r} would train on its test "
-            "frames: set it to point or a column"
-        )
+        raise ValueError(f"target {target.name} is a source too: split_by must be point or a column")
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
@@ -294,10 +292,7 @@ def _check_wholly_labelled(frames: LabelledFrames, names: Sequence[str]) -> None
     """Check that frames of a trajectory have these labels all or none: those without would be missing before others."""
     lacks, trajectory = np.isnan(frames.values_of(names)).any(axis=1), trajectory_of(frames)
     if len(np.intersect1d(trajectory[lacks], trajectory[~lacks])):
-        raise ValueError(
-            f"a trajectory of {frames.name} has frames with and without {', '.join(names)}: label all of them or none, "
-            "as each is shown with those before it"
-        )
+        raise ValueError(f"{frames.name} has trajectories labelled in part: label all frames of one, or none")
 
 
 def _check_turning(names: Sequence[str]) -> None:

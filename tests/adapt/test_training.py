@@ -309,9 +309,7 @@ def test_a_source_among_several_that_is_the_target_is_refused_where_its_test_fra
     source, target, profile
 ):
     both = join_domains([source, target])
-    with pytest.raises(
-        ValueError, match="wmb1i1 is a source too, and split_by = 'random' would train on its test"
-    ):
+    with pytest.raises(ValueError, match="target wmb1i1 is a source too: split_by must be point or a column"):
         split_for_training(both, target, profile, 0)
     frames = split_for_training(both, target, profile.replace(split_by="point"), 0)
     assert not set(frames.source_train.point_id) & set(frames.target_test.point_id)
