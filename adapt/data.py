@@ -94,8 +94,8 @@ def split_for_training(
     ------
     ValueError
         If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
-        wrong, fewer than two target frames can be trained on, or what is shown of trajectories is not possible
-        (`check_trajectories`).
+        wrong, fewer than two target frames can be trained on, the target is a source too and its test frames would be
+        trained on, or what is shown of trajectories is not possible (`check_trajectories`) or only partly labelled.
     """
     labelled, target, names = labelled_for_run(source, target, labels)
     is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
@@ -110,6 +110,15 @@ def split_for_training(
         is_labelled,
     )
     check_trajectories((labelled, target), split, profile, names)
+    if profile.needs_trajectories:
+        _check_wholly_labelled(source, names)
+        _check_wholly_labelled(target, names)
+    # Drawn anew for each, the parts of both differ.
+    may_differ = profile.split_by in ("random", "given") and (
+        len(source.members) > 1 or not is_labelled.all()
+    )
+    if may_differ and target.digest in [own.digest for own in source.members]:
+        raise ValueError(f"target {target.name} is a source too: split_by must be point or a column")
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
@@ -143,7 +152,7 @@ def split_for_training(
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
-    And, where markers are shown, one for each domain of whose view the profile's span is less than half.
+    And one on a map that does not fit, and, for markers, for each domain of whose view less than half is shown.
 
     Raises
     ------
@@ -162,6 +171,10 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         for name, w0, h0 in sizes
         if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
     ]
+    if profile.input in ("calibrated", "standardised") and len(source.members) > 1:
+        notes.append(f"input {profile.input} finds one map for all sources: in different lights it fits none")
+    if profile.input == "calibrated" and profile.colour_mixing:
+        notes.append("input calibrated: colour_mixing turns slopes as if they were colours; set it to 0")
     if profile.input == "markers":
         notes += [note for frames in (*source.members, target) for note in _span_notes(frames, profile)]
     return tuple(notes)
@@ -192,6 +205,7 @@ class Draw(IntEnum):
     METHOD = 11
     SHIFTS = 12
     TURNS = 13
+    TORCH = 14
 
 
 def generator(*key: int) -> np.random.Generator:
@@ -272,6 +286,13 @@ def check_trajectories(
                 f"split_by = {profile.split_by!r} divides trajectory {number} of {frames.name}; a sequence needs it "
                 f"whole: set split_by to point or {TRAJECTORY}"
             )
+
+
+def _check_wholly_labelled(frames: LabelledFrames, names: Sequence[str]) -> None:
+    """Check that frames of a trajectory have these labels all or none: those without would be missing before others."""
+    lacks, trajectory = np.isnan(frames.values_of(names)).any(axis=1), trajectory_of(frames)
+    if len(np.intersect1d(trajectory[lacks], trajectory[~lacks])):
+        raise ValueError(f"{frames.name} has trajectories labelled in part: label all frames of one, or none")
 
 
 def _check_turning(names: Sequence[str]) -> None:

@@ -22,6 +22,7 @@ from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
+from gelgap.assets.checksums import sha256
 from gelgap.assets.progress import Progress, silent
 from gelgap.domains import LabelledFrames, Labels, PressStream, join_domains, open_domain, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
@@ -277,7 +278,8 @@ def pretrain_on_stream(
         return stream.frames(epoch * n, (epoch + 1) * n)
 
     first = frames_of_epoch(0)
-    resume_file = out_dir / f"stream-state-{stage1_key(first, profile, seed)[:8]}.pt"
+    key = sha256(f"{stage1_key(first, profile, seed)} {stream.ranges!r}".encode())  # it has not all presses
+    resume_file = out_dir / f"stream-state-{key[:8]}.pt"
     model = train_source(
         first, profile, seed, resume_file=resume_file, progress=progress, frames_of_epoch=frames_of_epoch
     )

@@ -52,9 +52,9 @@ class InputMap(NamedTuple):
 class Input:
     """One way to show pictures: what it is, and the map of a domain, from its pictures (None: as they are paired).
 
-    It may have another number of channels than paired pictures, need their difference, or have a backbone that stays as
-    the checkpoint has it from which training starts. `find` gives what is shown instead of colours, (n, h, w, channels)
-    of frames, a size in px and a span in mm. If it is `from_touch`, frames need their trajectory, and are turned.
+    It may have another number of channels than paired pictures, need their difference, or keep the weights (not the
+    statistics) of the backbone from which training starts. `find` gives what is shown instead of colours, (n, h, w,
+    channels) of frames, a size in px and a span in mm. If it is `from_touch`, frames need their trajectory, and turn.
     """
 
     about: str
@@ -206,7 +206,7 @@ INPUTS = {
         find=dents,
         from_touch=True,
     ),
-    "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
+    "pretrained": Input("features of a pretrained network (--weights), whose weights stay", frozen=True),
 }
 """What a network can be shown."""
 

@@ -260,7 +260,7 @@ class ForceModel:
         )
 
 
-def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
+def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...], profile: Profile) -> None:
     """Start from a gelgap checkpoint, or load ImageNet weights into the backbone.
 
     Of a checkpoint with other labels or classes the outputs for those in common are taken; the others start anew.
@@ -283,12 +283,15 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> No
             state[key][to] = known[at]
     if checkpoint.n_classes != network.classifier.out_features:
         state |= {key: own[key] for key in ("classifier.weight", "classifier.bias")}
+    then = checkpoint.profile
     try:
+        if INPUTS[profile.input].frozen and (then.pairing, INPUTS[then.input].fit) != (profile.pairing, None):
+            raise RuntimeError("its backbone, which stays, has seen other inputs")
         network.load_state_dict(state)
     except RuntimeError as error:
         raise ValueError(
-            f"checkpoint {path} was trained with another network ({checkpoint.profile.backbone}, width "
-            f"{checkpoint.profile.width:g}, {checkpoint.profile.pairing}); use the same profile"
+            f"checkpoint {path} was trained with another network ({then.backbone}, width {then.width:g}, "
+            f"{then.pairing}, input {then.input}); use the same profile"
         ) from error
 
 

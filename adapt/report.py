@@ -51,7 +51,7 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     titles = method_titles(runs)
     rows = [_name(run, titles) | {"error": _mean_mae(run.target_test)} for run in runs]
     known = {row["method"] for row in rows}
-    for run in {(run.group, run.seed): run for run in runs}.values():
+    for run in {(run.group, run.seed, _mean_mae(run.target_constant_mean)): run for run in runs}.values():
         rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
         rows += [
             _name(run, titles) | {"method": name, "error": _mean_mae(error)}
@@ -68,6 +68,8 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     unit = shared_unit(runs[0].labels) or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = "Sorted by error; another seed or processor may well change the order of near ones. "
+    if mixed := int(pd.DataFrame(rows).duplicated(["group", "method", "seed"]).sum()):
+        note += f"± is not over seeds alone: {mixed} errors differ from others in settings, data or weights. "
     note += f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
     return ResultTable.of(
         f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note.strip()
@@ -172,9 +174,13 @@ def training_table(runs: Sequence[Run]) -> ResultTable:
 
 
 def method_titles(runs: Sequence[Run]) -> dict[str, str]:
-    """Return what tables call runs, by their keys: the method, and of several profiles which one."""
-    several = len({run.profile["name"] for run in runs}) > 1
-    return {run.key: f"{run.method}, {run.profile['name']}" if several else run.method for run in runs}
+    """Return what tables call runs, by their keys: the method, and where profiles differ which one, or how."""
+    profiles = pd.DataFrame([run.profile for run in runs]).astype(str)
+    differ = list(profiles.columns[profiles.nunique() > 1])
+    if "name" in differ:
+        return {run.key: f"{run.method}, {run.profile['name']}" for run in runs}
+    told = [[f"{name}={run.profile[name]}" for name in differ if name in run.profile] for run in runs]
+    return {run.key: ", ".join([run.method, *own]) for run, own in zip(runs, told, strict=True)}
 
 
 def _name(run: Run, titles: Mapping[str, str]) -> dict[str, Any]:
@@ -212,15 +218,16 @@ def _figures(runs: Sequence[Run]) -> list[NamedFigure]:
     if not arrays:
         return []
     first = next(iter(arrays.values()))
-    predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
     plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
     name, caption = runs[0].group.replace(" → ", "-"), f"{runs[0].group}, seed {seed}{_of_labels(runs)}"
     what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
     name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
     if "target_true_n" in first:
-        scatter = force_scatter(first["target_true_n"], predicted, labels=labels)
+        forces = {method: (a["target_true_n"], a["target_predicted_n"]) for method, a in arrays.items()}
+        scatter = force_scatter(forces, labels)
         shown = NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter)
     else:
+        predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
         histograms = _histograms(first["source_true_n"], predicted, labels)
         shown = NamedFigure(
             f"predicted-{name}", f"{caption}: how often which {what} are predicted", histograms
@@ -247,19 +254,19 @@ def _histograms(
 
 
 def force_scatter(
-    true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], labels: tuple[str, ...] = FORCE_COLUMNS
+    forces_n: Mapping[str, tuple[np.ndarray, np.ndarray]], labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> "Figure":
     """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
 
-    true_n and every predicted_n are (n, 3) in N, or (n, k) of other labels, each in its unit.
+    forces_n has each method's true and predicted ones, (n, 3) in N, or (n, k) of other labels, each in its unit.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(max(9, 3 * len(labels)), 2.8 * len(predicted_n)), layout="constrained")
-    grid = figure.subplots(len(predicted_n), len(labels), squeeze=False)
-    for row, (method, predicted) in zip(grid, predicted_n.items(), strict=True):
+    figure = Figure(figsize=(max(9, 3 * len(labels)), 2.8 * len(forces_n)), layout="constrained")
+    grid = figure.subplots(len(forces_n), len(labels), squeeze=False)
+    for row, (method, (true, predicted)) in zip(grid, forces_n.items(), strict=True):
         for label, (name, axes) in enumerate(zip(labels, row, strict=True)):
-            truth, guess = true_n[:, label], predicted[:, label]
+            truth, guess = true[:, label], predicted[:, label]
             symbol, unit = QUANTITIES[name]
             what = f"force, {unit}" if name in FORCE_COLUMNS else f"{symbol}, {unit}"
             limits = (min(truth.min(), guess.min()), max(truth.max(), guess.max()))

@@ -190,7 +190,7 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
         raise ValueError("there are no candidates to select from")
     values = np.array([score(candidate) for candidate in candidates])
     alarmed = np.array([alarm(candidate) for candidate in candidates])
-    return int(np.argmin(np.where(alarmed & ~alarmed.all(), np.inf, values)))
+    return int(np.argmin(np.where(np.isnan(values) | (alarmed & ~alarmed.all()), np.inf, values)))
 
 
 def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray:

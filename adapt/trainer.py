@@ -47,6 +47,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
 from gelgap.assets.progress import Progress, silent
 from gelgap.domains import LabelledFrames, with_labels
+from gelgap.domains.frames.dataset import pictures_alone
 
 LOG = logging.getLogger(__name__)
 MAX_SKIPPED_IN_A_ROW = 20
@@ -88,8 +89,8 @@ def train_source(
     if INPUTS[profile.input].frozen and weights is None:
         raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
-        load_start(model.network, Path(weights), source.labels.names)
-    with torch_threads(profile.threads):
+        load_start(model.network, Path(weights), source.labels.names, profile)
+    with torch_threads(profile.threads), torch.random.fork_rng(devices=[]):
         records = train(
             model.network,
             profile,
@@ -179,7 +180,7 @@ def adapt(
     )
 
     records: list[EpochRecord] = []
-    with torch_threads(profile.threads):
+    with torch_threads(profile.threads), torch.random.fork_rng(devices=[]):
         if chosen.trains:
             records = train(
                 adapted.network,
@@ -193,7 +194,9 @@ def adapt(
                 progress=progress,
             )
         else:
-            chosen.adapt(Adaptation(adapted.network, profile, seed, source, target))
+            shown = target if chosen.uses_target_labels else pictures_alone(target)
+            torch.manual_seed(seed)
+            chosen.adapt(Adaptation(adapted.network, profile, seed, source, shown))
     adapted.network.eval()
     return replace(adapted, history=(*model.history, *map(asdict, records)))
 
@@ -285,6 +288,7 @@ def train(
     for epoch in range(len(records), epochs):
         log = EpochLog()
         network.train()
+        torch.manual_seed(int(generator(seed, Draw.TORCH, epochs, epoch).integers(2**63)))  # of dropout
         if frames_of_epoch is not None and epoch > 0:
             drawn = frames_of_epoch(epoch)
             del source  # one domain's pictures at a time
@@ -426,7 +430,7 @@ def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int, steps: 
     """Set the learning rates of a step by the paper's schedule (section IV-B), and let them fall to zero at the end."""
     factor = (1 + profile.rate_decay * number) ** -profile.rate_power
     if profile.final_fall:
-        factor *= min(1.0, (1 - number / steps) / profile.final_fall)
+        factor *= min(1.0, max(0.0, 1 - number / steps) / profile.final_fall)
     for group in optimizer.param_groups:
         group["lr"] = group["initial_lr"] * factor
 

@@ -59,7 +59,7 @@ class Adapt(opt.Command):
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=calibrated --out colour-runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=standardised --out std-runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
     """
 

@@ -4,6 +4,7 @@ A new one is a class in this folder and a line in `METHODS`. Further ones come f
 entry points of installed packages, or as `module:Class` or `file.py:Class`.
 """
 
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import entry_points
 from inspect import getsourcefile
@@ -56,7 +57,7 @@ def method_names() -> tuple[str, ...]:
 
 
 def register(name: str, method: "type[Method]") -> None:
-    """Make a method of another package known under a name.
+    """Make a method of another package known under a name; a change of its file makes new runs, not one of a notebook.
 
     Raises
     ------
@@ -66,6 +67,8 @@ def register(name: str, method: "type[Method]") -> None:
     if name in method_names():
         raise ValueError(f"method name {name!r} is taken")
     EXTRA[name] = method
+    with suppress(TypeError, OSError):  # in a notebook it has no file
+        _CODE[name] = code_sha256(method)
 
 
 def use_method(name: str) -> str:
@@ -90,7 +93,7 @@ def use_method(name: str) -> str:
 
 
 def method_code(name: str) -> str | None:
-    """Return a hash of the code of a method from outside; None for those of gelgap and of `register`."""
+    """Return a hash of the code of a method from outside; None for those of gelgap and of a notebook."""
     return _CODE.get(name)
 
 

@@ -153,6 +153,11 @@ def counted(runs: pd.DataFrame, values: str | list[str] = "error_n") -> pd.DataF
     Rules come first, then methods in the board's order, others last. Methods, the upper bound apart, are compared on
     what every one of them has finished. A run that collapsed counts with the error of the constant mean that it became.
     """
+    tested = "frames_sha256.target_test"
+    if tested in runs and (runs.groupby(["group", "seed"])[tested].nunique() > 1).any():
+        raise ValueError(
+            "runs of one group and seed were tested on different frames: measure them on the same data"
+        )
     table = runs.pivot(index=["group", "seed"], columns="method", values=values)
     there = runs["method"].unique()
     methods = [method for method in dict.fromkeys([*RULES, *board.METHODS, *there]) if method in there]

@@ -90,9 +90,11 @@ class Study:
         return self.profile == "smoke"
 
     def known_methods(self) -> tuple[str, ...]:
-        """Return the chosen methods, if any, each after its controls; classes of one's own are known from now on."""
+        """Return the chosen methods, each after its controls; one's own are known now, and read no target labels."""
         found: list[str] = []
         for method in map(use_method, self.methods):
+            if find_method(method).uses_target_labels and method != board.UPPER_BOUND:
+                raise ValueError(f"--methods {method}: it learns from the target's labels")
             own = [method]
             while control := control_of(own[0]):
                 own.insert(0, control)

@@ -70,7 +70,7 @@ def export(
     ------
     ValueError
         If the format is unknown or has no card for a licence, the licence is no identifier, the output exists, the
-        format is only for generated domains, or the split cannot be made.
+        format is only for generated domains or for one reference, or the split cannot be made.
     """
     if format_name not in FORMATS:
         raise ValueError(f"format {quoted(format_name)} is unknown; known formats: {', '.join(FORMATS)}")
@@ -90,6 +90,8 @@ def export(
         raise ValueError(
             f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
         )
+    if format_name == "paper" and (several := [own.name for own in domains if len(own.rest_pictures) > 1]):
+        raise ValueError(f"data set {several[0]} has several references, paper one: export as webdataset")
     if split_by is not None:
         for frames in domains:
             split = np.empty(len(frames), dtype=object)
@@ -136,8 +138,9 @@ def _paper(frames: LabelledFrames, folder: Path) -> None:
 
 
 def _webdataset(frames: StoredFrames, folder: Path) -> None:
-    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `reference.png` beside them."""
-    (folder / "reference.png").write_bytes(encode_png(frames.reference))
+    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, beside them `reference.png`, `reference-1.png`, …."""
+    for number, read in enumerate(frames.rest_pictures):
+        (folder / (f"reference-{number}.png" if number else "reference.png")).write_bytes(encode_png(read()))
     columns = {name: values.tolist() for name, values in frames.columns.items()}
     for split, indices in indices_by_part(frames).items():
         for start in range(0, len(indices), _SAMPLES_PER_TAR):

@@ -368,8 +368,9 @@ class ArrayFrames(LabelledFrames):
 
     @cached_property
     def digest(self) -> str:
-        found = hashlib.sha256(self.name.encode())
-        for array in (self._images, self.reference, self.label_values, self.contact_class, self.point_id):
+        columns = {name: values.tolist() for name, values in self.columns.items()}
+        found = hashlib.sha256(repr((self.name, self.cameras, columns)).encode())
+        for array in (self._images, self.reference):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
 
@@ -403,7 +404,7 @@ class DerivedFrames(LabelledFrames):
         self.rest_pictures, self.cameras = whole.rest_pictures, whole.cameras
         self._reduced_references = whole._reduced_references
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
-        self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels
+        self.n_classes, self.labels = n_classes or whole.n_classes, whole.labels if labels is None else labels
         self.unconverged = whole.unconverged if indices is None else 0
         self._loaded: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
 
@@ -437,6 +438,13 @@ def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
         return frames
     change = repr((labels, None)).encode() + frames.values_of(labels.names).tobytes()
     return DerivedFrames(frames, frames.columns, change, labels=labels)
+
+
+def pictures_alone(frames: LabelledFrames) -> LabelledFrames:
+    """Return the same frames without labels, classes and poses: pictures, references and order in trajectories."""
+    names = "frame_id", "reference_id", "trajectory_id", "step"
+    kept = {name: frames.columns[name] for name in names if name in frames.columns}
+    return DerivedFrames(frames, kept, b"pictures alone", labels=Labels((), ()))
 
 
 def labelled_frames(frames: LabelledFrames) -> LabelledFrames:

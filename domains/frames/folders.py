@@ -12,7 +12,7 @@ from unicodedata import normalize
 
 import numpy as np
 
-from gelgap.assets.checksums import sha256
+from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.image_file import SUFFIXES, picture_files, visible_files
 from gelgap.assets.names import stays_inside
 from gelgap.assets.toml_file import named_in_errors, read_toml
@@ -127,8 +127,8 @@ class PictureFiles(StoredFrames):
     """A data set whose pictures are files of their own, `picture_paths`, one per frame.
 
     It has one rest picture or several, of which the column `reference_id` says which is a frame's own. The digest is
-    made from names, sizes and times of change of the pictures and of `further_files`: tables and rest pictures.
-    A file `sensor.toml` beside them is a sensor's, or has one line, such as `mm_per_px = 0.05`.
+    made from names, sizes and times of change of all files, and from the bytes of uncompressed pictures, which have one
+    size. `further_files` are tables and rest pictures; `sensor.toml` a sensor's, or a line such as `mm_per_px = 0.05`.
     """
 
     def __init__(
@@ -147,8 +147,9 @@ class PictureFiles(StoredFrames):
 
     @cached_property
     def digest(self) -> str:
-        paths = [*self.picture_paths, *self.further_files]
+        paths = [*self.picture_paths, *self.further_files, *self.folder.glob(SENSOR_FILE)]
         stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
+        stats += [(file_sha256(path),) for path in paths if path.suffix.lower() in (".bmp", ".tif", ".tiff")]
         return sha256(repr(stats).encode())
 
     @cached_property

@@ -102,7 +102,8 @@ def split_domains(
 
     Each domain is divided as `split_frames` divides it. By `point` or a column, the split is shared: a group that both
     domains have is in the same part of both, and the source's held-out groups are at least the target's test groups, so
-    that no group of a test frame was trained on. Groups that only one of the domains has are divided by themselves.
+    that no group of a test frame was trained on; so are the test frames of a domain that is source and target. Groups
+    that only one of the domains has are divided by themselves.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def split_domains(
     ValueError
         As `split_frames`, or if no frame with labels is in the target's test part.
     """
-    if by not in (None, "random", "given"):
+    if by not in (None, "random", "given") or source.digest == target.digest:
         held_out = max(held_out, shares[_TEST])
     source_shares = 1 - held_out, 0.0, held_out
     labelled = np.arange(len(target)) if is_labelled is None else np.flatnonzero(is_labelled)

@@ -7,7 +7,7 @@ import torch
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
 from gelgap.adapt.inputs import INPUTS, Found, InputMap
-from gelgap.domains import ArrayFrames
+from gelgap.domains import ArrayFrames, join_domains
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
@@ -183,11 +183,24 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     frozen = profile.replace(input="pretrained")
     with pytest.raises(ValueError, match="needs the weights of a pretrained network"):
         train_source(frames, frozen)
+    with pytest.raises(
+        ValueError, match=r"another network \(resnet18, width 0\.125, difference, input pictures\)"
+    ):
+        train_source(frames, frozen.replace(pairing="stack"), weights=tmp_path / "start.pt")
     start = ForceModel.load(tmp_path / "start.pt").network
     trained = train_source(frames, frozen, weights=tmp_path / "start.pt").network
     for own, other in zip(trained.backbone.parameters(), start.backbone.parameters(), strict=True):
         torch.testing.assert_close(own, other)
     assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
+
+
+def test_a_map_that_several_sources_share_is_noted(source, target, tinted, profile):
+    several, calibrated = join_domains([source, tinted]), profile.replace(input="calibrated")
+    (note,) = size_notes(several, target, calibrated)
+    assert note == "input calibrated finds one map for all sources: in different lights it fits none"
+    (note,) = size_notes(source, target, calibrated.replace(colour_mixing=0.5))
+    assert "colour_mixing turns slopes as if they were colours" in note
+    assert size_notes(source, target, calibrated) == size_notes(several, target, profile) == ()
 
 
 def test_a_map_is_a_matrix_and_an_offset():

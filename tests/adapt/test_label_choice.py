@@ -131,7 +131,7 @@ def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_pat
     assert error_table([run]).title == "Mean error on the target's test frames (x, Fz), % of the range"
     assert list(axis_table([run]).columns)[3:] == ["x, mm", "Fz, N", "R² x", "R² z", "constant mean, %"]
     arrays = load_predictions(run)
-    figure = force_scatter(arrays["target_true_n"], {"a": arrays["target_predicted_n"]}, labels=run.labels)
+    figure = force_scatter({"a": (arrays["target_true_n"], arrays["target_predicted_n"])}, run.labels)
     assert [axes.get_xlabel() for axes in figure.axes] == ["true x, mm", "true force, N"]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from network_weights import weights
 from picture_folders import forces_of, write_pictures
 
 from gelgap.adapt import ForceModel, Profile, adapt, own_code, train_source, use_backbone
@@ -25,7 +26,7 @@ def maps(channels):
 
 
 def features(channels):
-    return nn.Sequential(maps(channels), nn.Flatten(), nn.LazyLinear(12))
+    return nn.Sequential(maps(channels), nn.Flatten(), nn.LazyLinear(12), nn.Dropout(0.5))
 
 
 def nothing(channels):
@@ -53,7 +54,8 @@ def test_it_is_trained_adapted_kept_and_loaded_when_its_file_is_named(
     function, source, target, profile, own_file, monkeypatch, caplog
 ):
     own = profile.replace(backbone=use_backbone(f"net.py:{function}"), source_epochs=2, adapt_epochs=1)
-    adapted = adapt(train_source(source, own), source, target, "dann")
+    adapted, again = (adapt(train_source(source, own), source, target, "dann") for _ in range(2))
+    np.testing.assert_array_equal(weights(adapted), weights(again))
     adapted.save("model.pt")
     started = train_source(target, own, weights="model.pt")
     assert started.profile.backbone.startswith(f"net.py:{function}#")

@@ -9,6 +9,7 @@ from sklearn.metrics import mean_absolute_error, r2_score
 from gelgap.adapt.evaluation import BASELINES, evaluate_predictions
 from gelgap.adapt.report import error_table, write_report
 from gelgap.adapt.result_table import ResultTable
+from gelgap.adapt.run_record import load_runs
 from gelgap.adapt.runs import adapt_folders
 from gelgap.adapt.selection import (
     SELECTORS,
@@ -101,6 +102,10 @@ def test_selection_avoids_constant_predictors_and_names_unknown_selectors():
     assert select(candidates, "source risk") == 2
     assert select(candidates, "feature MMD") == 1
     assert all(select(candidates, selector) in (1, 2) for selector in SELECTORS)
+    broken = replace(
+        candidates[1], source_prediction_n=np.full_like(candidates[1].source_prediction_n, np.nan)
+    )
+    assert select([broken, candidates[2]], "source risk") == 1
     with pytest.raises(ValueError, match="known selectors: source risk"):
         select(candidates, "luck")
 
@@ -126,6 +131,26 @@ def test_tables_and_figures(source, target, profile, tmp_path):
         encoding="utf-8"
     )
     assert (tmp_path / "runs" / "tsne-mb0i0-wmb1i1.png").stat().st_size > 1000
+
+
+def test_profiles_that_differ_are_told_apart_and_each_judged_on_its_own_frames(
+    source, target, profile, tmp_path
+):
+    short = profile.replace(source_epochs=1, adapt_epochs=1)
+    for own, classes in (
+        (short, None),
+        (short.replace(split_by="point", image_size_px=(32, 32)), None),
+        (short, 5),
+    ):
+        adapt_folders(source, target, ["adabn"], own, classes_from_force=classes, out_dir=tmp_path)
+    table = error_table(load_runs(tmp_path))
+    own = {name: cell for name, cell in zip(table.columns, table.rows[0], strict=True) if "adabn" in name}
+    assert own.keys() == {
+        f"adabn, image_size_px={size}, split_by={by}"
+        for size, by in (([40, 32], "random"), ([32, 32], "point"))
+    }
+    assert "errors differ from others in settings, data or weights" in table.note
+    assert "adabn, image_size_px" in write_report(tmp_path).read_text(encoding="utf-8")
 
 
 def test_a_table_shows_the_same_cells_in_every_form(capsys):

@@ -61,7 +61,10 @@ def test_what_is_no_sequence_is_refused(tmp_path: Path) -> None:
         split_for_training(frames, frames, by.replace(sequence_length=6), 0)
     with pytest.raises(ValueError, match="split_by = 'random' divides trajectory"):
         split_for_training(frames, frames, by.replace(split_by="random"), 0)
-    without = trajectories_of(step=True)
+    frames.columns["fz_n"][7] = np.nan
+    with pytest.raises(ValueError, match="clips has trajectories labelled in part: label all"):
+        split_for_training(trajectories_of(), frames, by, 0)
+    frames, without = trajectories_of(), trajectories_of(step=True)
     with pytest.raises(ValueError, match="clips has no column step"):
         split_for_training(without, without, by, 0)
     model = untrained(frames, SEQUENCE)

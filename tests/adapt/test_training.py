@@ -21,7 +21,7 @@ from gelgap.adapt.data import (
 )
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import Method
-from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
+from gelgap.adapt.methods.registry import find_method, make_method, method_code, method_names, register
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
@@ -150,7 +150,7 @@ def test_classifier_only_trains_what_dsan_trains_without_its_loss(stage1, source
 class Hidden(ArrayFrames):
     """Frames whose pictures may not be looked at."""
 
-    def images(self, size_px=None, markers=True):
+    def load(self, size_px, markers):
         raise AssertionError("these pictures were used")
 
 
@@ -258,10 +258,10 @@ def test_pictures_of_another_size_are_resized_and_too_small_ones_are_an_error(st
     adapt_folders(source, tall, ["constant-mean"], stage1.profile)
     assert "40×32 px and those of wmb1i1 40×64 px" in caplog.messages[0]
     caplog.clear()
-    adapt_folders(join_domains([tall, source]), source, ["constant-mean"], stage1.profile)
+    adapt_folders(join_domains([tall, source]), target, ["constant-mean"], stage1.profile)
     assert ["pictures of wmb1i1 are 40×64 px" in note for note in caplog.messages] == [True]
     with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
-        adapt_folders(join_domains([source, small]), source, ["constant-mean"], stage1.profile)
+        adapt_folders(join_domains([source, small]), target, ["constant-mean"], stage1.profile)
 
 
 def test_unknown_method_lists_the_known_ones(stage1, source, target):
@@ -290,6 +290,29 @@ def test_own_method(stage1, source, target):
     assert "transfer" in model.history[-1]["losses"]
     with pytest.raises(ValueError, match="is taken"):
         register("dsan", MeanMatching)
+    assert method_code("mean-matching-in-a-test")
+
+
+def test_an_own_adaptation_is_given_pictures_alone(stage1, source, target):
+    class Peeping(Method):
+        def adapt(self, adaptation):
+            assert adaptation.target.columns.keys() == {"frame_id"}
+            assert np.array_equal(adaptation.target.images(), target.images())
+            return adaptation.target.force_n
+
+    register("peeping", Peeping)
+    with pytest.raises(ValueError, match="wmb1i1 has no label fx_n, fy_n, fz_n; its labels: none"):
+        adapt(stage1, source, target, "peeping")
+
+
+def test_a_source_among_several_that_is_the_target_is_refused_where_its_test_frames_would_be_trained_on(
+    source, target, profile
+):
+    both = join_domains([source, target])
+    with pytest.raises(ValueError, match="target wmb1i1 is a source too: split_by must be point or a column"):
+        split_for_training(both, target, profile, 0)
+    frames = split_for_training(both, target, profile.replace(split_by="point"), 0)
+    assert not set(frames.source_train.point_id) & set(frames.target_test.point_id)
 
 
 def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, target):

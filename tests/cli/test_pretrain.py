@@ -1,5 +1,6 @@
 """`gelgap pretrain`: drawn domains, one network, and a checkpoint that training starts from."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,3 +88,10 @@ def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
 
     main([*command.split(), "--seed", "1"])
     assert (tmp_path / "out" / "pretrained.pt").read_bytes() != first
+
+    more_presses = re.sub(r"presses = \d+", "presses = 9", SMALL_RANGES)
+    (tmp_path / "small.toml").write_text(more_presses)
+    main(command.split())
+    assert (
+        len(list((tmp_path / "out").glob("stream-state-*.pt"))) == 3
+    )  # though no epoch comes to the last of them

@@ -17,6 +17,7 @@ from gelgap.domains.formats.pictures import decode_column, encode_png, resized
 from gelgap.domains.frames.dataset import ArrayFrames
 from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.stored import clear_picture_cache
+from gelgap.render import Camera
 from gelgap.sim.estimate import Diagnostics
 
 
@@ -187,7 +188,15 @@ def test_arrays_are_a_data_set_like_any_other():
     assert np.array_equal(frames[2].image, frames.images()[2])
     assert frames.point_id.tolist() == [-1] * 6
     assert frames.images((4, 3)).shape == (6, 3, 4, 3)
-    assert frames.digest == arrays().digest != arrays(reference=np.ones((6, 8, 3), np.uint8)).digest
+    reference, steps = np.ones((6, 8, 3), np.uint8), np.arange(6)
+    others = (
+        arrays(),
+        arrays(),
+        arrays(reference=reference),
+        arrays(step=steps),
+        arrays(camera=Camera.showing(9.0)),
+    )
+    assert len({own.digest for own in (frames, *others)}) == 5
     frames.check_labels()
 
 

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from gelgap.assets.checksums import file_sha256
+from gelgap.assets.image_file import read_image
 from gelgap.cli.main import main
 from gelgap.domains import generate
 from gelgap.domains.formats.export import export
+from gelgap.domains.formats.pictures import encode_png
 from gelgap.domains.frames.folders import open_domain
 from gelgap.sim import ContactPath
 
@@ -118,6 +120,20 @@ def test_the_layout_of_generated_frames_refuses_other_data_in_one_sentence(data:
     with pytest.raises(ValueError, match="only generated domains are exported so"):
         export(tmp_path / "published" / "wmb0i0", "huggingface", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: Path):
+    (tmp_path / "own").mkdir()
+    for shade, name in enumerate(("a", "b", "rest-a", "rest-b")):
+        picture = encode_png(np.full((8, 8, 3), 10 * shade, np.uint8))
+        (tmp_path / "own" / f"{name}.png").write_bytes(picture)
+    rows = "image,reference,fx_n,fy_n,fz_n\na.png,rest-a.png,0,0,-1\nb.png,rest-b.png,0,0,-2\n"
+    (tmp_path / "own" / "table.csv").write_text(rows)
+    with pytest.raises(ValueError, match="own has several references, paper one"):
+        export(tmp_path / "own", "paper", tmp_path / "paper")
+    (folder,) = export(tmp_path / "own", "webdataset", tmp_path / "tars")
+    levels = [read_image(folder / name).mean() for name in ("reference.png", "reference-1.png")]
+    assert levels == [20, 30]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The published layout and picture folders, from a fixture written here."""
 
 import csv
+import os
 import re
 from pathlib import Path
 
@@ -116,6 +117,20 @@ def test_without_a_reference_the_lightest_touch_takes_its_place(tmp_path: Path):
     data = open_domain(gelsight(tmp_path / "mini", reference=False))
     assert data.reference.mean() == pytest.approx(data.picture(5).mean())
     assert "frame 5" in data.notes[-1]
+
+
+def test_the_digest_tells_cameras_and_uncompressed_pictures_of_one_size_apart(tmp_path: Path):
+    digests = []
+    for name, shade in (("one", 50), ("two", 60)):
+        (tmp_path / name).mkdir()
+        for file in ("0.bmp", "reference.bmp"):
+            picture(tmp_path / name / file, shade)
+            os.utime(tmp_path / name / file, (1e9, 1e9))
+        digests.append(open_domain(tmp_path / name).digest)
+    for mm_per_px in (0.05, 0.1):
+        (tmp_path / "two" / "sensor.toml").write_text(f"mm_per_px = {mm_per_px}\n")
+        digests.append(open_domain(tmp_path / "two").digest)
+    assert len(set(digests)) == 4
 
 
 def test_a_table_without_labels_is_an_unlabelled_domain(tmp_path: Path):

@@ -96,14 +96,22 @@ def test_domains_of_the_same_points_are_split_as_each_is_alone():
 
 
 def test_a_stated_split_holds_out_the_sources_test_part_and_the_others_are_drawn(data):
-    frames = open_domain(data / "mb0i0")
-    split = split_domains(frames, frames)
+    frames, other = open_domain(data / "mb0i0"), open_domain(data / "mb0i1")
+    split = split_domains(frames, other)
     assert set(frames.columns["split"][split.source_held_out]) == {"test"}
     assert np.array_equal(split.source_held_out, split.target_test)
-    assert len(split_domains(frames, frames, held_out=0.0).source_train) == 26
-    drawn = split_domains(frames, frames, "random", seed=3, held_out=0.1)
+    assert len(split_domains(frames, other, held_out=0.0).source_train) == 26
+    drawn = split_domains(frames, other, "random", seed=3, held_out=0.1)
     assert len(drawn.source_held_out) == 3
     assert set(drawn.source_held_out) <= set(split_frames(frames, "random", seed=3)[2])
+
+
+@pytest.mark.parametrize("by", ["random", "given"])
+def test_a_domain_that_is_its_own_target_has_its_test_frames_held_out(data, by):
+    frames = open_domain(data / "mb0i0")
+    split = split_domains(frames, frames, by, held_out=0.0)
+    assert len(split.target_test) > 0
+    assert not np.intersect1d(split.source_train, split.target_test).size
 
 
 def test_a_part_that_would_be_empty_is_said_whichever_domain_has_it():

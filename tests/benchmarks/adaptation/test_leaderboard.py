@@ -130,6 +130,14 @@ def test_runs_of_other_pictures_are_not_compared(study, folder):
         tables(folder)
 
 
+def test_inputs_that_were_tested_on_other_frames_are_not_compared(study, folder):
+    for file, sha256, changes in ((RUNS, "a", board.BY_POINT), (INPUT_RUNS, "b", changes_of("calibrated"))):
+        tested = {"frames_sha256": {"target_test": sha256}}
+        write_runs(folder / file, places(study, "mine.Mine", 0.2, changes=changes, **tested))
+    with pytest.raises(ValueError, match="one group and seed were tested on different frames"):
+        tables(folder)
+
+
 def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
     """Labels and a little noise would come first; a record of AdaBN would be the published one."""
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2))
@@ -196,5 +204,8 @@ def test_an_entry_is_trained_beside_its_controls(tmp_path, monkeypatch):
     bounds = [run for file, runs in did if file == RUNS for run in runs if run["source"] == run["target"]]
     assert len(bounds) == len(GROUPS) * len(SEEDS)
     assert json.loads(json.dumps(bounds[0]))["data"] == board.DATA
+    (tmp_path / "seer.py").write_text(TEN_LINES + "    uses_target_labels = True\n")
+    with pytest.raises(ValueError, match=r"seer\.MeanMatching: it learns from the target's labels"):
+        leaderboard.measure(Study.at(tmp_path / "cpu", methods=(f"{tmp_path / 'seer.py'}:MeanMatching",)))
     with pytest.raises(ValueError, match="the leaderboard's sensors have no markers"):
         entry_grid(("adabn",), ("markers",))
