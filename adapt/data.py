@@ -130,7 +130,7 @@ def split_for_training(
     if classes_from_force is not None:
         source_train = force_classes(source_train, classes_from_force)
     target_test = labelled_frames(with_labels(target.take(split.target_test), common))
-    notes = []
+    notes = _drawn_at_random(target, profile) if is_labelled.any() else []
     if len(labelled) < len(source):
         left_out = len(source) - len(labelled)
         notes.append(f"{left_out} of {len(source)} frames of {source.name} lack {', '.join(names)}: left out")
@@ -147,6 +147,19 @@ def split_for_training(
         target_test=target_test,
         notes=(*notes, *of_ranges),
     )
+
+
+def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
+    """Say what of the target's frames a random split does not follow: a stated split, or clips of frames alike."""
+    if profile.split_by != "random":
+        return []
+    ways = {"split": ("states a split", "given"), "clip": ("has clips, whose frames look alike", "clip")}
+    return [
+        f"{target.name} {what}, which split_by=random ignores; split_by={way} does not, where both domains have a "
+        f"column {column}"
+        for column, (what, way) in ways.items()
+        if column in target.columns
+    ]
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:

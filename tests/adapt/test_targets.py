@@ -89,6 +89,20 @@ def test_a_group_stays_whole_where_some_frames_lack_labels(source, target, short
         split_for_training(named, some_labels(target, "some", 3, clip=clip), by_clip, 0)
 
 
+def test_a_random_split_of_clips_or_of_stated_parts_is_said(source, target, short):
+    stated = np.repeat(np.array(["train", "test"], dtype=object), 48)
+    clips = some_labels(
+        target, "some", 96, clip=np.repeat(np.array(["a", "b"], dtype=object), 48), split=stated
+    )
+    said = split_for_training(source, clips, short.replace(split_by="random"), 0).notes
+    assert [f"split_by={way}" in note for way, note in zip(("given", "clip"), said, strict=True)] == [
+        True,
+        True,
+    ]
+    assert not split_for_training(clips, clips, short.replace(split_by="given"), 0).notes
+    assert not split_for_training(source, target, short.replace(split_by="random"), 0).notes
+
+
 def test_source_frames_without_labels_are_left_out_and_counted(source, target, short):
     gaps = some_labels(source, "gaps", 70)
     frames = split_for_training(gaps, target, short, 0)
