@@ -13,6 +13,7 @@ import numpy as np
 from gelgap.assets.image_file import read_image
 from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
 from gelgap.render import MembraneRenderer, Sensor
+from gelgap.render.calibration.light import SeenPoints
 from gelgap.render.calibration.pictures import (
     ListedPress,
     PressList,
@@ -46,7 +47,8 @@ Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]  # x_mm, y_mm, displacement
 class PredictedPress:
     """A press as drawn, uint8 (h, w, 3); its real picture and PSNR in dB inside the contact and around it, if known.
 
-    `table` is what the fit's table of normals predicts of the same membrane.
+    `table` is what the fit's table of normals predicts of the same membrane. Another ball than the fit's, or another
+    body, is drawn without the sensor's `ball_residual`.
 
     Around a ball's contact is from one to two radii; around another body's as far as a disc of its area has radius.
     """
@@ -57,6 +59,7 @@ class PredictedPress:
     predicted: Levels | None
     table: Levels | None  # of normals, if the fit has one
     unchanged: Levels | None
+    has_residual: bool = False
 
 
 def predict_presses(
@@ -92,11 +95,17 @@ def predict_presses(
     for listed_press, press, body in zip(listed.presses, presses, bodies, strict=True):
         try:
             if body is None:
-                membrane, inside = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
+                own = profiles[press.sphere_diameter_mm]
+                membrane, inside, pose = _of_ball(renderer, press, own, untouched)
+                picture, has_residual = _with_residual(
+                    renderer, press, own, pose, renderer.picture(*membrane)
+                )
             else:
                 membrane, inside = _of_body(renderer, listed_press, press, body, quality)
+                picture, has_residual = renderer.picture(*membrane), False
             real = press.picture if listed_press.picture else None
-            found.append(_scored(renderer, press.name, membrane, inside, real, untouched))
+            scored = _scored(renderer, press.name, picture, membrane, inside, real, untouched)
+            found.append(replace(scored, has_residual=has_residual))
         except ValueError as error:
             raise ValueError(f"{path}: {press.name}: {error}") from None
     return found
@@ -169,10 +178,9 @@ def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
 
 def _of_ball(
     renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
-) -> tuple[Membrane, np.ndarray]:
-    """Return the membrane around a ball, by the sensor's habit and rim, and where its mark says it touches."""
+) -> tuple[Membrane, np.ndarray, np.ndarray]:
+    """Return the membrane around a ball, by the sensor's habit, where its mark says it touches, and x, y and depth."""
     camera, size_px = renderer.sensor.camera, renderer.size_px
-    profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)
     press = located(press, untouched, camera)
     pose, radius_px = start_pose(camera, press, profiles, size_px)
     center_px = press.center_px or camera.project_px(np.array([*pose[:2], -pose[2]]), size_px) - 0.5
@@ -180,7 +188,29 @@ def _of_ball(
         pose = expected_from_mark(pose, np.array(off), profiles)
     half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
     membrane = profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm))
-    return membrane, radii_away(untouched, center_px, radius_px) < 1
+    return membrane, radii_away(untouched, center_px, radius_px) < 1, pose
+
+
+def _with_residual(
+    renderer: MembraneRenderer,
+    press: PressPicture,
+    profiles: PressProfiles,
+    pose: np.ndarray,
+    picture: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """Return the picture of a ball with the sensor's residual, and whether it has one that holds for the press."""
+    sensor, radius_mm = renderer.sensor, profiles.contact_radius_mm(pose[2])
+    residual = sensor.ball_residual
+    if residual is None or not residual.holds_for(press.sphere_diameter_mm, radius_mm):
+        return picture, False
+    plane_mm, camera_mm = (
+        sensor.camera.plane_of_picture_mm(renderer.size_px),
+        np.array(sensor.camera.position_mm),
+    )
+    seen = SeenPoints.pressed(plane_mm, np.zeros(len(plane_mm), int), pose[None], [profiles], camera_mm)
+    place = pose[:2] / (sensor.camera.footprint_mm(renderer.size_px)[0] / 2)
+    code = residual.added_to(picture, (seen.positions[:, :2] - pose[:2]) / radius_mm, place)
+    return np.clip(np.round(code), 0, 255).astype(np.uint8), True
 
 
 def _of_body(
@@ -206,6 +236,7 @@ def _of_body(
 def _scored(
     renderer: MembraneRenderer,
     name: str,
+    picture: np.ndarray,
     membrane: Membrane,
     inside: np.ndarray,
     real: np.ndarray | None,
@@ -213,7 +244,7 @@ def _scored(
 ) -> PredictedPress:
     from scipy.ndimage import distance_transform_edt
 
-    picture, sensor = renderer.picture(*membrane), renderer.sensor
+    sensor = renderer.sensor
     if real is None:
         return PredictedPress(name, picture, None, None, None, None)
     if not inside.any():

@@ -22,6 +22,7 @@ from pydantic import (
 
 from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.assets.whole_file import write_whole
+from gelgap.render.ball_residual import BallResidual
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
 from gelgap.render.light.leds import Illumination
@@ -224,11 +225,7 @@ class Sensor(PresetSettings):
     marks_off: tuple[_Row, _Row, _Row, _Row] | None = _of_fit(
         description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
     )
-    rim_slope: tuple[_Share, ...] | None = _of_fit(
-        min_length=16,
-        max_length=16,
-        description="by how much balls' dents are steeper than solved ones, at distances of 0 to 2.6 contact radii",
-    )
+    ball_residual: BallResidual | None = _of_fit(description="what the fit leaves around one ball's contacts")
     normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = _of_fit(
         min_length=27,
         max_length=27,

@@ -188,13 +188,11 @@ class PlacedPresses:
     def _plane_mm(self) -> np.ndarray:
         return self.camera.plane_of_picture_mm(self.size_px)
 
-    def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
-        """Return (h, w, 3): the normal that each pixel sees of a press."""
+    def seen(self, press: int, pose_mm: np.ndarray) -> SeenPoints:
+        """Return what all pixels see of a press."""
         index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
-        seen = SeenPoints.pressed(
-            self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm)
-        )
-        return seen.normals.reshape(self.reference.shape)
+        camera_mm = np.array(self.camera.position_mm)
+        return SeenPoints.pressed(self._plane_mm, index, pose_mm[None], own, camera_mm)
 
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float

@@ -10,6 +10,7 @@ from gelgap.cli.main import main
 from gelgap.domains import press_prediction
 from gelgap.domains.press_prediction import predict_presses
 from gelgap.render import Markers, MembraneRenderer, Sensor, save_sensor
+from gelgap.render.ball_residual import BallResidual
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.sim import Pose, load_indenter, solve_pose
 from tests.domains.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
@@ -64,6 +65,29 @@ def test_balls_are_drawn_off_their_marks_by_the_habit_of_the_fit(
     for right, off in zip(moved, unmoved, strict=True):
         assert min(np.subtract(right.predicted, off.predicted)) > 5
         assert min(np.subtract(right.predicted, right.unchanged)) > 10
+
+
+def test_a_ball_is_drawn_with_what_the_fit_left_around_it_and_another_without(
+    tmp_path: Path, renderer: MembraneRenderer, sensor: Sensor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = profiles({BALL_MM})[BALL_MM]
+    picture = renderer.picture(*own.membrane((0.0, 0.0), DEPTH_MM, EXTENT_MM))
+    cv2.imwrite(str(tmp_path / "a.png"), np.clip(picture[..., ::-1] + 3.0, 0, 255))
+    radii_mm = np.full(2, own.contact_radius_mm(DEPTH_MM))
+    away = np.random.default_rng(0).uniform(-2.6, 2.6, (4000, 2))
+    three, weights, place = np.full((4000, 3), 3.0), np.ones((4000, 3)), np.zeros((4000, 2))
+    residual = BallResidual.fitted(BALL_MM, radii_mm, away, place, three, weights)
+    save_sensor(sensor.model_copy(update={"ball_residual": residual}), tmp_path / "fitted.toml")
+    fitted = Sensor.load(tmp_path / "fitted.toml")
+    place = 'point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '
+    path = listed(tmp_path, f"{BALL}{place}{DEPTH_MM}\n{BALL}{place}{DEPTH_MM / 2}\n")
+    right, shallow = predict_presses(fitted, path)
+    assert (right.has_residual, shallow.has_residual) == (True, False)
+    (plain, _) = predict_presses(sensor, path)
+    assert min(np.subtract(right.predicted, plain.predicted)) > 5
+    out = ["-o", str(tmp_path / "out.toml")]
+    main(["calibrate", str(path), "--predict", "--sensor", str(tmp_path / "fitted.toml"), *out])
+    assert "drawn without what the fit left around its own ball" in capsys.readouterr().out
 
 
 def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
