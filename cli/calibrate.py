@@ -148,12 +148,9 @@ class Calibrate(opt.Command):
         found = predict_presses(sensor, path, self.reference, self.quality)
         print("\n".join(prediction_lines(found)))
         without = [press.name for press in found if not press.has_residual]
-        if (residual := sensor.ball_residual) is not None and without:
-            least_mm, largest_mm = residual.contact_radii_mm
-            print(
-                f"drawn without what the fit left around its own ball, {residual.diameter_mm:g} mm wide with contacts "
-                f"of {least_mm:.2f}…{largest_mm:.2f} mm radius: {', '.join(without)}"
-            )
+        if sensor.ball_residual is not None and without:
+            others = ", ".join(without)
+            print(f"without what the fit left around its ball, as of another body, size or depth: {others}")
         write_comparisons(
             [(press.real, press.picture) for press in found],
             self.out.with_name(f"{self.out.stem}-predicted"),

@@ -37,10 +37,10 @@ class NormalTable:
         return (by_normal[:, :, None] * monomials(x, y, 1)[:, None]).reshape(len(normals), 27)
 
     def picture(self, reference: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
-        """Return the uint8 picture (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
+        """Return code values (h, w, 3) of a membrane whose pixels have such normals (h, w, 3)."""
         plane_mm = camera.plane_of_picture_mm(reference.shape[1::-1])
         change = self.columns(normals.reshape(-1, 3), plane_mm, self.half_view_mm) @ self.coefficients
-        return np.clip(np.round(reference + change.reshape(reference.shape)), 0, 255).astype(np.uint8)
+        return np.clip(reference + change.reshape(reference.shape), 0, 255)
 
 
 class TableShare:

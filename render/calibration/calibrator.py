@@ -348,11 +348,12 @@ class _Drawn:
 
     def picture(self, pictures: tuple[np.ndarray, ...], share: float) -> np.ndarray:
         """Return the uint8 picture (h, w, 3) with a share of the table."""
-        light, table, away = pictures[0].astype(float), pictures[1], pictures[2]
+        light, table, away = pictures
         code = light + share * (table - light)
         if self.residual is not None:
             placed = self.fit.placed
-            code = self.residual.added_to(code, away, placed.poses_mm[self.press, :2] / placed.half_view_mm)
+            place = placed.poses_mm[self.press, :2] / placed.half_view_mm
+            code = code + self.residual.around(away, place).reshape(code.shape)
         return np.clip(np.round(code), 0, 255).astype(np.uint8)
 
     def levels(self, shares: Sequence[float]) -> list[tuple[float, float]]:
@@ -374,7 +375,7 @@ class _Drawn:
 
 
 def _pictures(fit: LightFit, table: NormalTable, press: int, pose_mm: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return a press drawn by light and by table, uint8 (h, w, 3), and how far from it pixels see, in its radii."""
+    """Return a press by light and by table, in code values (h, w, 3), and how far from it pixels see, in its radii."""
     placed = fit.placed
     reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * placed.mark_mm[press])  # it may be off its mark
     seen = placed.seen(press, pose_mm)
@@ -387,19 +388,15 @@ def _pictures(fit: LightFit, table: NormalTable, press: int, pose_mm: np.ndarray
 
 def _drawn(fit: LightFit, part: np.ndarray) -> list[_Drawn]:
     """Return the presses of a part as the fit without it draws them."""
-    table = fit.normal_table()
-    return [
-        _Drawn(fit, int(press), table, _pictures(fit, table, int(press), fit.expected_mm(press)))
-        for press in part
-    ]
+    table, expected = fit.normal_table(), [(press, fit.expected_mm(press)) for press in part.tolist()]
+    return [_Drawn(fit, press, table, _pictures(fit, table, press, pose)) for press, pose in expected]
 
 
 def _with_residuals(drawn: Sequence[_Drawn], share: float) -> list[_Drawn]:
     """Return the presses drawn with what their fits leave around balls; none if there is no such residual."""
     residuals = {press.fit: press.fit.ball_residual(press.table, share) for press in drawn}
-    if None in residuals.values():
-        return []
-    return [replace(press, residual=residuals[press.fit]) for press in drawn]
+    own = [replace(press, residual=residuals[press.fit]) for press in drawn]
+    return [] if None in residuals.values() else own
 
 
 def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn], share: float) -> bool:

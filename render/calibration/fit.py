@@ -306,8 +306,8 @@ class LightFit:
         radii_mm = np.array([profiles.contact_radius_mm(pose[2]) for profiles, pose in own])
         places_mm = self.presses[self.index, :2]
         away = (seen.positions[:, :2] - places_mm) / radii_mm[self.index, None]
-        place = places_mm / half_mm
-        return BallResidual.fitted(diameters_mm.pop(), radii_mm, away, place, left, self.usable)
+        points = np.hstack([away, places_mm / half_mm])
+        return BallResidual.fitted(diameters_mm.pop(), radii_mm, points, left, self.usable)
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""

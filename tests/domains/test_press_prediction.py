@@ -70,24 +70,19 @@ def test_balls_are_drawn_off_their_marks_by_the_habit_of_the_fit(
 def test_a_ball_is_drawn_with_what_the_fit_left_around_it_and_another_without(
     tmp_path: Path, renderer: MembraneRenderer, sensor: Sensor, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = profiles({BALL_MM})[BALL_MM]
+    own, rng = profiles({BALL_MM})[BALL_MM], np.random.default_rng(0)
     picture = renderer.picture(*own.membrane((0.0, 0.0), DEPTH_MM, EXTENT_MM))
     cv2.imwrite(str(tmp_path / "a.png"), np.clip(picture[..., ::-1] + 3.0, 0, 255))
-    radii_mm = np.full(2, own.contact_radius_mm(DEPTH_MM))
-    away = np.random.default_rng(0).uniform(-2.6, 2.6, (4000, 2))
-    three, weights, place = np.full((4000, 3), 3.0), np.ones((4000, 3)), np.zeros((4000, 2))
-    residual = BallResidual.fitted(BALL_MM, radii_mm, away, place, three, weights)
-    save_sensor(sensor.model_copy(update={"ball_residual": residual}), tmp_path / "fitted.toml")
-    fitted = Sensor.load(tmp_path / "fitted.toml")
-    place = 'point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '
-    path = listed(tmp_path, f"{BALL}{place}{DEPTH_MM}\n{BALL}{place}{DEPTH_MM / 2}\n")
-    right, shallow = predict_presses(fitted, path)
-    assert (right.has_residual, shallow.has_residual) == (True, False)
-    (plain, _) = predict_presses(sensor, path)
+    radii_mm, points = np.full(2, own.contact_radius_mm(DEPTH_MM)), rng.uniform(-2.6, 2.6, (4000, 4))
+    residual = BallResidual.fitted(BALL_MM, radii_mm, points, np.full((4000, 3), 3.0), np.ones((4000, 3)))
+    fitted = tmp_path / "fitted.toml"
+    save_sensor(sensor.model_copy(update={"ball_residual": residual}), fitted)
+    press = f'{BALL}point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '
+    path = listed(tmp_path, f"{press}{DEPTH_MM}\n{press}{DEPTH_MM / 2}\n")
+    right, plain = (predict_presses(own, path)[0] for own in (Sensor.load(fitted), sensor))
     assert min(np.subtract(right.predicted, plain.predicted)) > 5
-    out = ["-o", str(tmp_path / "out.toml")]
-    main(["calibrate", str(path), "--predict", "--sensor", str(tmp_path / "fitted.toml"), *out])
-    assert "drawn without what the fit left around its own ball" in capsys.readouterr().out
+    main(["calibrate", str(path), "--predict", "--sensor", str(fitted), "-o", str(tmp_path / "out.toml")])
+    assert "size or depth: press 2 (a.png)" in capsys.readouterr().out
 
 
 def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
