@@ -22,10 +22,10 @@ from pydantic import (
 
 from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.assets.whole_file import write_whole
-from gelgap.render.ball_residual import BallResidual
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
 from gelgap.render.light.leds import Illumination
+from gelgap.render.normal_table import BallResidual
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gelgap.render.ball_residual import BallResidual
 from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
 from gelgap.render.calibration.pictures import PressPicture, check_presses
@@ -20,7 +19,7 @@ from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
-from gelgap.render.normal_table import NormalTable
+from gelgap.render.normal_table import BallResidual, NormalTable
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor, save_sensor
 
@@ -47,7 +46,8 @@ class HeldOut:
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. Both are
-    drawn by the fitted light and the share of the table of normals that predicts best. `unchanged` is the reference,
+    drawn by the fitted light and the share of the table of normals that predicts best, with what both leave around the
+    ball if that is kept. `unchanged` is the reference,
     `table` the table alone, of the presses that were fitted; `picture` is the one as marked.
     """
 

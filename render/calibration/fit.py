@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gelgap.render.ball_residual import BallResidual
 from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
 from gelgap.render.calibration.poses import LEAST_DEPTH_MM, PlacedPresses
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
-from gelgap.render.normal_table import NormalTable
+from gelgap.render.normal_table import BallResidual, NormalTable
 
 RIDGE = 0.1
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.

@@ -19,7 +19,7 @@ from gelgap.domains import (
 from gelgap.domains.formats.shards import OPTIONAL
 from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.plan import plan_generation
-from gelgap.render.ball_residual import BallResidual
+from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Cone, PosePath, Sphere
 
 PATH = PosePath.from_trajectories("two", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.1, 0.2)]}])

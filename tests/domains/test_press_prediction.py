@@ -10,8 +10,8 @@ from gelgap.cli.main import main
 from gelgap.domains import press_prediction
 from gelgap.domains.press_prediction import predict_presses
 from gelgap.render import Markers, MembraneRenderer, Sensor, save_sensor
-from gelgap.render.ball_residual import BallResidual
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
+from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Pose, load_indenter, solve_pose
 from tests.domains.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
 
