@@ -149,6 +149,10 @@ class Calibrate(opt.Command):
         sensor = render.Sensor.named(self.sensor)
         found = predict_presses(sensor, path, self.reference, self.quality)
         print("\n".join(prediction_lines(found)))
+        without = [press.name for press in found if not press.has_residual]
+        if sensor.ball_residual is not None and without:
+            others = ", ".join(without)
+            print(f"without what the fit left around its ball, as of another body, size or depth: {others}")
         write_comparisons(
             [(press.real, press.picture) for press in found],
             self.out.with_name(f"{self.out.stem}-predicted"),
@@ -241,7 +245,8 @@ def report_lines(fit: "LightCalibration") -> list[str]:
         f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
     )
     share = fit.sensor.table_share
-    lines.append(f"  predicts with {1 - share:.0%} modelled light, {share:.0%} table of normals")
+    around = "" if fit.sensor.ball_residual is None else ", and what both leave around this ball"
+    lines.append(f"  predicts with {1 - share:.0%} modelled light, {share:.0%} table of normals{around}")
     for kind, what in HELD_OUT.items():
         by_region = zip(*(getattr(press, kind) for press in fit.held_out), strict=True)
         inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in by_region)

@@ -5,7 +5,7 @@ place of a contact that is not marked.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from gelgap.assets.image_file import read_image
 from gelgap.domains.calibration_presses import CALIBRATION_GEL, sphere_profiles
 from gelgap.render import MembraneRenderer, Sensor
+from gelgap.render.calibration.light import SeenPoints
 from gelgap.render.calibration.pictures import (
     ListedPress,
     PressList,
@@ -31,7 +32,7 @@ from gelgap.render.calibration.poses import (
 )
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import load_maps
-from gelgap.render.imaging import psnr_db
+from gelgap.render.imaging import psnr_db, srgb_encode
 from gelgap.render.normal_table import NormalTable
 from gelgap.sim import Pose, load_indenter, solve_pose
 from gelgap.sim.indenter import Indenter
@@ -46,7 +47,8 @@ Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]  # x_mm, y_mm, displacement
 class PredictedPress:
     """A press as drawn, uint8 (h, w, 3); its real picture and PSNR in dB inside the contact and around it, if known.
 
-    `table` is what the fit's table of normals predicts of the same membrane.
+    `table` is what the fit's table of normals predicts of the same membrane. Another ball than the fit's, or another
+    body, is drawn without the sensor's `ball_residual`.
 
     Around a ball's contact is from one to two radii; around another body's as far as a disc of its area has radius.
     """
@@ -57,6 +59,7 @@ class PredictedPress:
     predicted: Levels | None
     table: Levels | None  # of normals, if the fit has one
     unchanged: Levels | None
+    has_residual: bool = False
 
 
 def predict_presses(
@@ -92,11 +95,11 @@ def predict_presses(
     for listed_press, press, body in zip(listed.presses, presses, bodies, strict=True):
         try:
             if body is None:
-                membrane, inside = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
+                drawn = _of_ball(renderer, press, profiles[press.sphere_diameter_mm], untouched)
             else:
-                membrane, inside = _of_body(renderer, listed_press, press, body, quality)
+                drawn = _of_body(renderer, listed_press, press, body, quality)
             real = press.picture if listed_press.picture else None
-            found.append(_scored(renderer, press.name, membrane, inside, real, untouched))
+            found.append(_scored(renderer, press.name, *drawn, real, untouched))
         except ValueError as error:
             raise ValueError(f"{path}: {press.name}: {error}") from None
     return found
@@ -169,10 +172,9 @@ def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
 
 def _of_ball(
     renderer: MembraneRenderer, press: PressPicture, profiles: PressProfiles, untouched: np.ndarray
-) -> tuple[Membrane, np.ndarray]:
-    """Return the membrane around a ball, by the sensor's habit and rim, and where its mark says it touches."""
-    camera, size_px = renderer.sensor.camera, renderer.size_px
-    profiles = replace(profiles, rim_slope=renderer.sensor.rim_slope)
+) -> tuple[Membrane, np.ndarray, np.ndarray | None]:
+    """Return the membrane around a ball, by the sensor's habit, where its mark says it touches, and what fits leave."""
+    camera, size_px, residual = renderer.sensor.camera, renderer.size_px, renderer.sensor.ball_residual
     press = located(press, untouched, camera)
     pose, radius_px = start_pose(camera, press, profiles, size_px)
     center_px = press.center_px or camera.project_px(np.array([*pose[:2], -pose[2]]), size_px) - 0.5
@@ -180,13 +182,19 @@ def _of_ball(
         pose = expected_from_mark(pose, np.array(off), profiles)
     half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
     membrane = profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm))
-    return membrane, radii_away(untouched, center_px, radius_px) < 1
+    radius_mm, left = profiles.contact_radius_mm(pose[2]), None
+    if residual is not None and residual.holds_for(press.sphere_diameter_mm, radius_mm):
+        plane_mm, camera_mm = camera.plane_of_picture_mm(size_px), np.array(camera.position_mm)
+        seen = SeenPoints.pressed(plane_mm, np.zeros(len(plane_mm), int), pose[None], [profiles], camera_mm)
+        place = pose[:2] / (camera.footprint_mm(size_px)[0] / 2)
+        left = residual.around((seen.positions[:, :2] - pose[:2]) / radius_mm, place)
+    return membrane, radii_away(untouched, center_px, radius_px) < 1, left
 
 
 def _of_body(
     renderer: MembraneRenderer, listed: ListedPress, press: PressPicture, body: Indenter, quality: str
-) -> tuple[Membrane, np.ndarray]:
-    """Return the membrane around a body, and where it touches (h, w)."""
+) -> tuple[Membrane, np.ndarray, None]:
+    """Return the membrane around a body, where it touches (h, w), and None for what fits leave around balls."""
     camera = renderer.sensor.camera
     point_mm = press.point_mm
     if point_mm is None:
@@ -200,7 +208,7 @@ def _of_body(
             f"{press.name}: the contact does not converge; try another --quality, or less depth"
         )
     membrane = state.x_mm, state.y_mm, state.displacement_mm
-    return membrane, renderer.contact_mask(*membrane, state.contact)
+    return membrane, renderer.contact_mask(*membrane, state.contact), None
 
 
 def _scored(
@@ -208,14 +216,18 @@ def _scored(
     name: str,
     membrane: Membrane,
     inside: np.ndarray,
+    left: np.ndarray | None,
     real: np.ndarray | None,
     untouched: np.ndarray,
 ) -> PredictedPress:
     from scipy.ndimage import distance_transform_edt
 
-    picture, sensor = renderer.picture(*membrane), renderer.sensor
+    sensor, has_residual = renderer.sensor, left is not None
+    code = 255 * srgb_encode(renderer.linear(*membrane))
+    code += left.reshape(code.shape) if has_residual else 0.0
+    picture = np.clip(np.round(code), 0, 255).astype(np.uint8)
     if real is None:
-        return PredictedPress(name, picture, None, None, None, None)
+        return PredictedPress(name, picture, None, None, None, None, has_residual)
     if not inside.any():
         raise ValueError("the contact lies outside of the picture")
     away_px = distance_transform_edt(~inside)
@@ -231,4 +243,4 @@ def _scored(
         half_view_mm = sensor.camera.footprint_mm(renderer.size_px)[0] / 2
         own = NormalTable(np.array(sensor.normal_table), half_view_mm)
         table = levels(own.picture(untouched, renderer.normal_map(*membrane), sensor.camera))
-    return PredictedPress(name, picture, real, levels(picture), table, levels(untouched))
+    return PredictedPress(name, picture, real, levels(picture), table, levels(untouched), has_residual)

@@ -194,7 +194,7 @@ class DomainRecipe(Settings):
             if not getattr(self, name)
         }
         # What a sensor's fit keeps for predicting marked presses is nothing that a domain depends on.
-        unused = {"marks_off", "rim_slope"} | (set() if self.sensor.table_share > 0 else {"normal_table"})
+        unused = {"marks_off", "ball_residual"} | (set() if self.sensor.table_share > 0 else {"normal_table"})
         return self.model_dump(mode="json", exclude=absent | {"sensor": unused})
 
     @property

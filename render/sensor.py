@@ -25,6 +25,7 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
 from gelgap.render.light.leds import Illumination
+from gelgap.render.normal_table import BallResidual
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
@@ -224,11 +225,7 @@ class Sensor(PresetSettings):
     marks_off: tuple[_Row, _Row, _Row, _Row] | None = _of_fit(
         description="how far balls are off their marks: by 1, x, y (mm) and depth (radii), in x, y (mm), depth (radii)",
     )
-    rim_slope: tuple[_Share, ...] | None = _of_fit(
-        min_length=16,
-        max_length=16,
-        description="by how much balls' dents are steeper than solved ones, at distances of 0 to 2.6 contact radii",
-    )
+    ball_residual: BallResidual | None = _of_fit(description="what the fit leaves around one ball's contacts")
     normal_table: tuple[tuple[_Code, _Code, _Code], ...] | None = _of_fit(
         min_length=27,
         max_length=27,

@@ -5,8 +5,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
-from gelgap.render.normal_table import NormalTable
+from gelgap.render.normal_table import BallResidual, NormalTable
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor, save_sensor
 
@@ -35,7 +34,7 @@ _SAME_PLACE = 0.1
 _FEWEST_FITTED = 3
 # Shares of the table of normals that are tried, from the fitted light alone to the table alone.
 TABLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-# A slope at the rim that gains in one region may cost a held-out press this much in the other.
+# A residual around balls that gains in one region may cost a held-out press this much in the other.
 _MOST_LOST_DB = 0.2
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
@@ -47,7 +46,8 @@ class HeldOut:
 
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. Both are
-    drawn by the fitted light and the share of the table of normals that predicts best. `unchanged` is the reference,
+    drawn by the fitted light and the share of the table of normals that predicts best, with what both leave around the
+    ball if that is kept. `unchanged` is the reference,
     `table` the table alone, of the presses that were fitted; `picture` is the one as marked.
     """
 
@@ -154,17 +154,18 @@ def calibrate_light(
     used = fit.which
     parts = [used[part] for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds)]
     blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
-    drawn, bent = _drawn(blind, parts), [other.with_rim() for other in blind]
-    if bent != blind and _predicts_better(with_rim := _drawn(bent, parts), drawn):
-        fit, drawn = fit.with_rim(), with_rim
-    share = table_share([press.levels for press in drawn]) if drawn else 0.0
+    drawn = [press for other, part in zip(blind, parts, strict=True) for press in _drawn(other, part)]
+    share = table_share([press.levels(TABLE_SHARES) for press in drawn]) if drawn else 0.0
+    residual, whole = None, _with_residuals(drawn, share)
+    if whole and _predicts_better(whole, drawn, share):
+        drawn, residual = whole, fit.ball_residual(fit.normal_table(), share)
     held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
     lit, own = task.lit_sensor(fit), [fit.placed.profiles[k] for k in used]
     volumes = [one.volume_mm3(pose[2]) for one, pose in zip(own, fit.presses, strict=True)]
     return LightCalibration(
-        sensor=lit.model_copy(update={"table_share": share}),
+        sensor=lit.model_copy(update={"table_share": share, "ball_residual": residual}),
         maps=task.flat_field(fit, lit),
         gain=tuple(map(tuple, fit.field.gain.T.tolist())),
         volume_mm3=float(np.median(volumes)),
@@ -312,7 +313,6 @@ class LightTask:
             "illumination": illumination,
             "flat_field": None,
             "marks_off": self._marks_off(fit),
-            "rim_slope": fit.placed.profiles[0].rim_slope,
             "normal_table": tuple(map(tuple, fit.normal_table().coefficients.tolist())),
         }
         return self.sensor.model_copy(update=update)
@@ -338,62 +338,71 @@ class LightTask:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A press that a fit has not seen, as its light and its table draw it, uint8 (h, w, 3) each."""
+    """A press that a fit has not seen, as its light, its table and perhaps its residual around balls draw it."""
 
     fit: LightFit
     press: int
     table: NormalTable
+    marked: tuple[np.ndarray, ...]
+    residual: BallResidual | None = None
 
-    def _at(self, pose_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        seen, press = self.fit.placed, self.press
-        reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * seen.mark_mm[press])  # it may be off its mark
-        plain = self.table.picture(seen.clean_reference, seen.normals(press, pose_mm), seen.camera)
-        lit = seen.picture_of(self.fit.light, self.fit.field, press, pose_mm, reach_mm)
-        return lit, seen.at_level(press, plain)
+    def picture(self, pictures: tuple[np.ndarray, ...], share: float) -> np.ndarray:
+        """Return the uint8 picture (h, w, 3) with a share of the table."""
+        light, table, away = pictures
+        code = light + share * (table - light)
+        if self.residual is not None:
+            placed = self.fit.placed
+            place = placed.poses_mm[self.press, :2] / placed.half_view_mm
+            code = code + self.residual.around(away, place).reshape(code.shape)
+        return np.clip(np.round(code), 0, 255).astype(np.uint8)
 
-    @cached_property
-    def marked(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._at(self.fit.expected_mm(self.press))
-
-    @cached_property
-    def levels(self) -> list[tuple[float, float]]:
-        """The scores as marked, for each of `TABLE_SHARES`, of which the last is the table alone."""
-        return [self.fit.placed.scores(self.press, _mixed(self.marked, share)) for share in TABLE_SHARES]
+    def levels(self, shares: Sequence[float]) -> list[tuple[float, float]]:
+        """Return the scores as marked, for each share of the table."""
+        return [self.fit.placed.scores(self.press, self.picture(self.marked, share)) for share in shares]
 
     def held_out(self, share: float) -> HeldOut:
         """Return how the press is predicted with a share of the table."""
-        seen, press = self.fit.placed, self.press
-        refined = self._at(self.fit.refined(press).presses[0])
+        seen, press, marked = self.fit.placed, self.press, self.picture(self.marked, share)
+        refined = _pictures(self.fit, self.table, press, self.fit.refined(press).presses[0])
         return HeldOut(
             seen.names[press],
             unchanged=seen.scores(press, seen.reference),
-            table=self.levels[-1],
-            marked=self.levels[TABLE_SHARES.index(share)],
-            refined=seen.scores(press, _mixed(refined, share)),
-            picture=_mixed(self.marked, share),
+            table=seen.scores(press, self.marked[1]),
+            marked=seen.scores(press, marked),
+            refined=seen.scores(press, self.picture(refined, share)),
+            picture=marked,
         )
 
 
-def _drawn(fits: Sequence[LightFit], parts: Sequence[np.ndarray]) -> list[_Drawn]:
-    """Return the presses of each part as the fit without it draws them."""
-    tables = [fit.normal_table() for fit in fits]
-    own = zip(fits, parts, tables, strict=True)
-    return [_Drawn(fit, int(press), table) for fit, part, table in own for press in part]
+def _pictures(fit: LightFit, table: NormalTable, press: int, pose_mm: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return a press by light and by table, in code values (h, w, 3), and how far from it pixels see, in its radii."""
+    placed = fit.placed
+    reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * placed.mark_mm[press])  # it may be off its mark
+    seen = placed.seen(press, pose_mm)
+    normals = seen.normals.reshape(placed.reference.shape)
+    plain = placed.at_level(press, table.picture(placed.clean_reference, normals, placed.camera))
+    lit = placed.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
+    away_mm = seen.positions[:, :2] - pose_mm[:2]
+    return lit, plain, away_mm / placed.profiles[press].contact_radius_mm(pose_mm[2])
 
 
-def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn]) -> bool:
+def _drawn(fit: LightFit, part: np.ndarray) -> list[_Drawn]:
+    """Return the presses of a part as the fit without it draws them."""
+    table, expected = fit.normal_table(), [(press, fit.expected_mm(press)) for press in part.tolist()]
+    return [_Drawn(fit, press, table, _pictures(fit, table, press, pose)) for press, pose in expected]
+
+
+def _with_residuals(drawn: Sequence[_Drawn], share: float) -> list[_Drawn]:
+    """Return the presses drawn with what their fits leave around balls; none if there is no such residual."""
+    residuals = {press.fit: press.fit.ball_residual(press.table, share) for press in drawn}
+    own = [replace(press, residual=residuals[press.fit]) for press in drawn]
+    return [] if None in residuals.values() else own
+
+
+def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn], share: float) -> bool:
     """Return whether the sum of the median PSNRs, inside and around, is larger, and neither much smaller."""
-    scores = []
-    for presses in (drawn, other):
-        levels = [press.levels for press in presses]
-        scores.append(np.median(levels, axis=0)[TABLE_SHARES.index(table_share(levels))])
-    gain_db = scores[0] - scores[1]
-    return bool(gain_db.sum() > 0 and gain_db.min() > -_MOST_LOST_DB)
-
-
-def _mixed(light_and_table: tuple[np.ndarray, np.ndarray], share: float) -> np.ndarray:
-    light, table = (picture.astype(float) for picture in light_and_table)
-    return np.round(light + share * (table - light)).astype(np.uint8)
+    new, old = (np.median([press.levels((share,))[0] for press in own], axis=0) for own in (drawn, other))
+    return bool((new - old).sum() > 0 and (new - old).min() > -_MOST_LOST_DB)
 
 
 def table_share(levels: Sequence[Sequence[tuple[float, float]]]) -> float:

@@ -14,10 +14,9 @@ import numpy as np
 from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
 from gelgap.render.calibration.poses import LEAST_DEPTH_MM, PlacedPresses
-from gelgap.render.calibration.profiles import RIM_RADII
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
-from gelgap.render.normal_table import NormalTable
+from gelgap.render.normal_table import BallResidual, NormalTable
 
 RIDGE = 0.1
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
@@ -33,10 +32,6 @@ MOST_BLUR_PX = 2.0  # more stands in for the slope at the rim and widens edges t
 _LEAST_GAIN = 0.02
 # By which slopes of marks' errors over place (a wrong scale) and depth (marks exaggerate it) are drawn to 0.
 _HABIT_RIDGE_MM2 = 0.1
-# Of the rim's slope: what a step is tried with, at most taken, the ridge as a share, and how often light follows.
-_RIM_TRIED, _MOST_RIM_STEP, _RIM_RIDGE, _RIM_ROUNDS = 0.02, 0.15, 0.002, 4
-# These are 16 numbers: on fewer presses they follow those presses' own errors.
-_FEWEST_FOR_RIM = 5
 
 
 def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
@@ -118,41 +113,6 @@ class LightFit:
         self._search_distance(0.4)
         self._search_blur()
         self._search_geometry()
-
-    def with_rim(self) -> "LightFit":
-        """Return the fit with a slope added at `RIM_RADII` of all contacts, found by Gauss-Newton; itself if of few.
-
-        Held out in three parts, as marked, FOTS gains 0.9 dB inside and 3.4 around, the light alone of a DIGIT 1.1 and
-        0.0, of yanglh14/gelsight -0.1 and 0.7; a GelSlim loses 0.8 inside: `calibrate_light` looks before it is kept.
-        """
-        if len(self.which) < _FEWEST_FOR_RIM:
-            return self
-        bent, slope = self._seen_by(self.camera), np.zeros(len(RIM_RADII))
-        by_slope = bent._errors_by_slope()  # once: the membrane is linear in it
-        for _ in range(_RIM_ROUNDS):
-            error = bent.residual.ravel()
-            weighted = by_slope / np.sqrt(1 + (error / 10) ** 2)
-            normal = weighted @ by_slope.T
-            ridge = _RIM_RIDGE * np.trace(normal) / len(normal)
-            step = np.linalg.solve(normal + ridge * np.eye(len(normal)), weighted @ error + ridge * slope)
-            slope -= np.clip(step, -_MOST_RIM_STEP, _MOST_RIM_STEP)
-            bent._bend_rim(slope)
-            bent._solve()
-            bent.refine_presses()
-            bent._solve()
-        return bent
-
-    def _errors_by_slope(self) -> np.ndarray:
-        flat_light, by_slope = self.flat.light(self.light), []
-        for tried in _RIM_TRIED * np.eye(len(RIM_RADII)):
-            self._bend_rim(tried)
-            by_slope.append((self._errors(self.presses, flat_light) - self.residual).ravel() / _RIM_TRIED)
-        return np.array(by_slope)
-
-    def _bend_rim(self, slope: np.ndarray) -> None:
-        bent = [replace(own, rim_slope=tuple(slope.tolist())) for own in self.placed.profiles]
-        self.placed = replace(self.placed, profiles=bent)
-        self.profiles = [self.placed.seen_profiles[k] for k in self.which]
 
     def _search_geometry(self) -> None:
         self._search(tuple(PRIOR), 5)
@@ -331,6 +291,22 @@ class LightFit:
         normal[np.diag_indices_from(normal)] += TABLE_RIDGE * np.trace(normal) / len(normal)
         change = (self.code - untouched) * self.usable
         return NormalTable(np.linalg.solve(normal, columns.T @ change), half_mm)
+
+    def ball_residual(self, table: NormalTable, share: float) -> BallResidual | None:
+        """Return what light and a share of a table leave around the fitted contacts; None if of several balls."""
+        diameters_mm = {self.placed.presses[k].sphere_diameter_mm for k in self.which}
+        if len(diameters_mm) > 1:
+            return None
+        half_mm, seen = self.placed.half_view_mm, self._seen(self.presses)
+        change = NormalTable.columns(seen.normals, self.plane_mm, half_mm) @ table.coefficients
+        by_table = 255 * srgb_encode(self.base * self.factor) + change
+        left = share * (self.code - by_table) - (1 - share) * self.residual
+        own = zip(self.profiles, self.presses, strict=True)
+        radii_mm = np.array([profiles.contact_radius_mm(pose[2]) for profiles, pose in own])
+        places_mm = self.presses[self.index, :2]
+        away = (seen.positions[:, :2] - places_mm) / radii_mm[self.index, None]
+        points = np.hstack([away, places_mm / half_mm])
+        return BallResidual.fitted(diameters_mm.pop(), radii_mm, points, left, self.usable)
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""

@@ -123,9 +123,9 @@ class PlacedPresses:
         return srgb_decode(self.presses[press].picture / 255) / self.levels[press]
 
     def at_level(self, press: int, code: np.ndarray) -> np.ndarray:
-        """Return a uint8 picture without dots at the level of a press's picture, with the reference's dots."""
+        """Return code values of a picture without dots at the level of a press's picture, with the reference's dots."""
         linear = srgb_decode(code / 255) * self.levels[press] * (1 if self.dots is None else self.dots)
-        return np.round(255 * srgb_encode(linear)).astype(np.uint8)
+        return 255 * srgb_encode(linear)
 
     def far_field(self, which: np.ndarray) -> FarField:
         """Return what some of the presses change where none reaches, from those parts of their pictures."""
@@ -188,18 +188,16 @@ class PlacedPresses:
     def _plane_mm(self) -> np.ndarray:
         return self.camera.plane_of_picture_mm(self.size_px)
 
-    def normals(self, press: int, pose_mm: np.ndarray) -> np.ndarray:
-        """Return (h, w, 3): the normal that each pixel sees of a press."""
+    def seen(self, press: int, pose_mm: np.ndarray) -> SeenPoints:
+        """Return what all pixels see of a press."""
         index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
-        seen = SeenPoints.pressed(
-            self._plane_mm, index, pose_mm[None], own, np.array(self.camera.position_mm)
-        )
-        return seen.normals.reshape(self.reference.shape)
+        camera_mm = np.array(self.camera.position_mm)
+        return SeenPoints.pressed(self._plane_mm, index, pose_mm[None], own, camera_mm)
 
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
-        """Return the uint8 picture of a press: modelled up to a distance, over one mm fading to untouched gel."""
+        """Return a press in code values (h, w, 3): modelled up to a distance, over one mm fading to untouched gel."""
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
         base, factor = field.at(rows, columns, self.levels[press])
         share = np.clip(reach_mm + 1 - np.hypot(*(self._plane_mm - pose_mm[:2]).T), 0, 1)[:, None]
@@ -215,7 +213,7 @@ class PlacedPresses:
             rest = self.camera.project_px(pressed.positions * (1, 1, 0), self.size_px) - 0.5
             moved = map_dots(self.dots, rest)
             base[near] *= moved / np.maximum(self.dots.reshape(-1, 3)[near], 1e-4)
-        return np.round(255 * srgb_encode(factor * base)).astype(np.uint8).reshape(self.reference.shape)
+        return 255 * srgb_encode(factor * base).reshape(self.reference.shape)
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
         """Return PSNR in dB inside the contact, and from one to two radii, of pixels without dots."""

@@ -15,8 +15,6 @@ _BEYOND, _DECAY_MM = 2.5, 1.5
 _MOST_MARKED = 1.12  # of the largest contact's radius: marks by hand are up to so much larger than found ones
 # By what share of the distance from the edge they are smoothed, by as much nearer than this; and in how many steps.
 _SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400
-# Where a sensor's own slope around its contacts is fitted, in radii of the contact; it is 0 beyond.
-RIM_RADII = (0.0, 0.5, 0.7, 0.8, 0.87, 0.93, 0.98, 1.03, 1.08, 1.14, 1.22, 1.32, 1.45, 1.65, 2.0, 2.6)
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,7 @@ class PressProfiles:
     """z over the distance from the axis, every `STEP_MM`, for a row of depths in equal steps from 0.
 
     Inside the contact it is the sphere exactly, outside a monotone cubic through solved points. With a softness it is
-    blurred by a Gaussian of that standard deviation, as a camera sees it whose point spread is as wide. `rim_slope`
-    is added to the slope at `RIM_RADII`: what a sensor's pictures show of a gel that is not the solved one.
+    blurred by a Gaussian of that standard deviation, as a camera sees it whose point spread is as wide.
     """
 
     sphere_radius_mm: float
@@ -46,7 +43,6 @@ class PressProfiles:
     )  # (solves + 1, 2): depth, distance within which the membrane is the sphere
     contact_radii_mm: np.ndarray = field(repr=False)  # (solves + 1, 2): depth, radius of the contact
     softness_mm: float = 0.0
-    rim_slope: tuple[float, ...] | None = None
 
     @classmethod
     def from_solves(cls, sphere_radius_mm: float, solves: Sequence[SolvedPress]) -> "PressProfiles":
@@ -84,11 +80,6 @@ class PressProfiles:
         sphere = _sphere(self.sphere_radius_mm, depth_mm, r)
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
-        added = np.zeros(len(r))
-        if self.rim_slope is not None:
-            radii = r / max(self.contact_radius_mm(depth_mm), STEP_MM)
-            added = np.interp(radii, RIM_RADII, self.rim_slope, right=0.0)
-            z -= STEP_MM * np.cumsum(added[::-1])[::-1]
         if self.softness_mm > 0:
             # Blurred in the plane, by Gauss–Hermite quadrature.
             nodes, weights = np.polynomial.hermite_e.hermegauss(7)
@@ -97,7 +88,7 @@ class PressProfiles:
             z = np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
             return z, np.gradient(z, STEP_MM)
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
-        return z, np.where(inside, of_sphere + added, np.gradient(z, STEP_MM))
+        return z, np.where(inside, of_sphere, np.gradient(z, STEP_MM))
 
     def contact_radius_mm(self, depth_mm: float) -> float:
         """Return the contact's radius at a depth: a smooth curve through the solves'."""

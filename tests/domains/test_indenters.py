@@ -19,6 +19,7 @@ from gelgap.domains import (
 from gelgap.domains.formats.shards import OPTIONAL
 from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.plan import plan_generation
+from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Cone, PosePath, Sphere
 
 PATH = PosePath.from_trajectories("two", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.1, 0.2)]}])
@@ -73,7 +74,10 @@ def test_one_indenter_is_configured_as_before() -> None:
     (several,) = make_recipes(["mb0i0"], PATH, indenter=Sphere(), further_indenters=(Cone(),))
     assert several.frames == 2 * recipe.frames
     assert type(several)(**several.configuration()).key == several.key
-    fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4, "rim_slope": (0.1,) * 16})
+    residual = BallResidual(
+        diameter_mm=4.0, contact_radii_mm=(1.0, 1.2), coefficients=((0.0, 0.0, 1.0),) * 432
+    )
+    fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4, "ball_residual": residual})
     assert recipe.model_copy(update={"sensor": fitted}).key == recipe.key
     tabled = fitted.model_copy(update={"normal_table": ((1.0, 0.0, 0.0),) * 27})
     assert recipe.model_copy(update={"sensor": tabled}).key == recipe.key

@@ -11,6 +11,7 @@ from gelgap.domains import press_prediction
 from gelgap.domains.press_prediction import predict_presses
 from gelgap.render import Markers, MembraneRenderer, Sensor, save_sensor
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
+from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Pose, load_indenter, solve_pose
 from tests.domains.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
 
@@ -64,6 +65,24 @@ def test_balls_are_drawn_off_their_marks_by_the_habit_of_the_fit(
     for right, off in zip(moved, unmoved, strict=True):
         assert min(np.subtract(right.predicted, off.predicted)) > 5
         assert min(np.subtract(right.predicted, right.unchanged)) > 10
+
+
+def test_a_ball_is_drawn_with_what_the_fit_left_around_it_and_another_without(
+    tmp_path: Path, renderer: MembraneRenderer, sensor: Sensor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own, rng = profiles({BALL_MM})[BALL_MM], np.random.default_rng(0)
+    picture = renderer.picture(*own.membrane((0.0, 0.0), DEPTH_MM, EXTENT_MM))
+    cv2.imwrite(str(tmp_path / "a.png"), np.clip(picture[..., ::-1] + 3.0, 0, 255))
+    radii_mm, points = np.full(2, own.contact_radius_mm(DEPTH_MM)), rng.uniform(-2.6, 2.6, (4000, 4))
+    residual = BallResidual.fitted(BALL_MM, radii_mm, points, np.full((4000, 3), 3.0), np.ones((4000, 3)))
+    fitted = tmp_path / "fitted.toml"
+    save_sensor(sensor.model_copy(update={"ball_residual": residual}), fitted)
+    press = f'{BALL}point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '
+    path = listed(tmp_path, f"{press}{DEPTH_MM}\n{press}{DEPTH_MM / 2}\n")
+    right, plain = (predict_presses(own, path)[0] for own in (Sensor.load(fitted), sensor))
+    assert min(np.subtract(right.predicted, plain.predicted)) > 5
+    main(["calibrate", str(path), "--predict", "--sensor", str(fitted), "-o", str(tmp_path / "out.toml")])
+    assert "size or depth: press 2 (a.png)" in capsys.readouterr().out
 
 
 def test_another_body_is_solved_where_it_is_and_as_it_is_turned(

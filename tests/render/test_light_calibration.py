@@ -23,7 +23,7 @@ from gelgap.render.calibration.calibrator import (
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.pictures import PressPicture
 from gelgap.render.calibration.poses import place_presses
-from gelgap.render.calibration.profiles import RIM_RADII, PressProfiles, SolvedPress
+from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.imaging import srgb_decode, srgb_encode
@@ -482,24 +482,37 @@ def test_a_blurring_camera_sees_a_blurred_dent(pictures):
     assert np.abs(seen - sharp).max() > 0.02
 
 
-def test_the_slope_at_a_sensors_rim_is_found_unless_presses_are_few(pictures):
-    start, solved = pictures[0], profiles(None, None)[3.0]
-    bent = replace(solved, rim_slope=tuple(np.interp(RIM_RADII, (0.7, 0.9, 1.1), (0, -0.3, 0))))
+def test_what_a_fit_leaves_around_balls_draws_a_press_that_it_has_not_seen(pictures):
+    """A dark line at the rim, which no light draws, in pictures of six presses."""
+    start, own = pictures[0], profiles(None, None)[3.0]
     renderer = MembraneRenderer(start, start.illumination, SIZE_PX)
-    shots = [renderer.picture(*bent.membrane(point, 0.6, (7.0, 6.0))) for point in POINTS[:5]]
-    placed = place_presses(start.camera, renderer.reference(), pressed(shots, depth_mm=0.6), {3.0: solved})
-    fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5))
-    found = np.array(fit.with_rim().placed.profiles[0].rim_slope)
-    assert abs(found - bent.rim_slope)[1:-3].max() < 0.15
-    assert found.min() < -0.15
-    fit.which = fit.which[:4]
-    assert fit.with_rim() is fit
+    rows, columns = np.indices(SIZE_PX[::-1])
+
+    def lined(point):
+        x, y = MIDDLE_PX + PX_PER_MM * np.array(point) - 0.5
+        radii = np.hypot(columns - x, rows - y) / PX_PER_MM / own.contact_radius_mm(0.6)
+        line = 30 * np.exp(-(((radii - 1.1) / 0.15) ** 2))[..., None]
+        return np.clip(renderer.picture(*own.membrane(point, 0.6, (7.0, 6.0))) - line, 0, 255).astype(
+            np.uint8
+        )
+
+    presses = pressed([lined(point) for point in POINTS[:6]], depth_mm=0.6)
+    placed = place_presses(start.camera, renderer.reference(), presses, {3.0: own})
+    fit, pose = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5)), placed.poses_mm[5]
+    away = (placed.seen(5, pose).positions[:, :2] - pose[:2]) / own.contact_radius_mm(0.6)
+    left = fit.ball_residual(fit.normal_table(), 0.0).around(away, pose[:2] / placed.half_view_mm)
+    plain = placed.picture_of(fit.light, fit.field, 5, pose, 20.0)
+    gain_db = np.subtract(placed.scores(5, plain + left.reshape(plain.shape)), placed.scores(5, plain))
+    assert gain_db.min() > 2, gain_db
+    other = replace(placed.presses[1], sphere_diameter_mm=4.0)
+    fit.placed = replace(placed, presses=(placed.presses[0], other, *placed.presses[2:]))
+    assert fit.ball_residual(fit.normal_table(), 0.0) is None
 
 
-def test_a_slope_at_the_rim_is_kept_if_it_gains_more_than_it_costs():
+def test_what_is_left_around_balls_is_kept_if_it_gains_more_than_it_costs():
     def drawn(inside_db, around_db):
-        return [SimpleNamespace(levels=[(inside_db, around_db)] * 5)]
+        return [SimpleNamespace(levels=lambda shares: [(inside_db, around_db)])]
 
-    assert _predicts_better(drawn(31.0, 29.9), drawn(30.0, 30.0))
-    assert not _predicts_better(drawn(31.0, 29.7), drawn(30.0, 30.0))
-    assert not _predicts_better(drawn(30.0, 30.0), drawn(30.0, 30.0))
+    assert _predicts_better(drawn(31.0, 29.9), drawn(30.0, 30.0), 0.5)
+    assert not _predicts_better(drawn(31.0, 29.7), drawn(30.0, 30.0), 0.5)
+    assert not _predicts_better(drawn(30.0, 30.0), drawn(30.0, 30.0), 0.5)
