@@ -173,7 +173,7 @@ class Rasterizer:
         flags = pyrender.RenderFlags.NONE
         self._context = _context(os.getpid())
         self._context.make_current()
-        width, height = size_px
+        self._size_px = width, height = size_px
         self._geometry = np.zeros((height, width, 2), np.float32)
         self._key: np.ndarray | None = None
         rest_mm = lattice.points_mm().astype(np.float32).reshape(-1, 2)
@@ -232,9 +232,8 @@ class Rasterizer:
 
     def _bind_target(self, flags: int) -> None:
         gl = self._gl
-        height, width, _ = self._geometry.shape
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
-        gl.glViewport(0, 0, width, height)
+        gl.glViewport(0, 0, *self._size_px)
         gl.glClearColor(NOWHERE_MM, NOWHERE_MM, 0.0, 0.0)
         gl.glEnable(gl.GL_DEPTH_TEST)
         gl.glDepthMask(gl.GL_TRUE)
@@ -261,8 +260,7 @@ class Rasterizer:
             program._bind()
             self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
             program._unbind()
-            height, width, _ = self._geometry.shape
-            gl.glReadPixels(0, 0, width, height, gl.GL_RG, gl.GL_FLOAT, self._geometry)
+            gl.glReadPixels(0, 0, *self._size_px, gl.GL_RG, gl.GL_FLOAT, self._geometry)
         self._key = positions_mm.copy()
         return self._geometry[::-1]
 

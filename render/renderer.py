@@ -118,7 +118,7 @@ class MembraneRenderer:
     def _set_leds(self, illumination: Illumination) -> None:
         """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
         self._leds = led_samples(illumination.emitters(self.sensor.camera), self._shadows)
-        flat = self._surface_on_lattice(self._flat, "reference")
+        flat = shared_surface(self.lattice, self._flat, "reference")
         light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if self.sensor.coating.specular > 0 else None
@@ -128,7 +128,7 @@ class MembraneRenderer:
         self._table, sensor = None, self.sensor
         if sensor.table_share == 0 or illumination != sensor.illumination:
             return
-        surface = self._surface_on_lattice(self._flat, "reference")
+        surface = shared_surface(self.lattice, self._flat, "reference")
         flat = self._seen(surface, self._radiance(surface))
         table = NormalTable(np.array(sensor.normal_table), sensor.camera.footprint_mm(self.size_px)[0] / 2)
         untouched = self._linear(surface, markers=False)
@@ -148,11 +148,8 @@ class MembraneRenderer:
             self._scattered.add_to(linear, surface)
         return linear
 
-    def _surface_on_lattice(self, displacement_mm: np.ndarray, name: str) -> Surface:
-        return shared_surface(self.lattice, displacement_mm, name)
-
     def _surface(self, membrane: Membrane) -> Surface:
-        return self._surface_on_lattice(membrane.displacement_on(self.lattice), membrane.name)
+        return shared_surface(self.lattice, membrane.displacement_on(self.lattice), membrane.name)
 
     def _geometry(self, surface: Surface) -> np.ndarray:
         positions = np.ascontiguousarray(surface.positions_mm[::RASTER_STEP, ::RASTER_STEP])
@@ -233,7 +230,7 @@ class MembraneRenderer:
 
     def reference_linear(self, markers: bool = True) -> np.ndarray:
         """Return `linear` of the undeformed membrane."""
-        return self._linear(self._surface_on_lattice(self._flat, "reference"), markers)
+        return self._linear(shared_surface(self.lattice, self._flat, "reference"), markers)
 
     def reference(self, markers: bool = True, rng: np.random.Generator | None = None) -> np.ndarray:
         """Return the `picture` of the undeformed membrane."""

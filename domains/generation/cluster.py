@@ -184,6 +184,9 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     settings = {
         "distributed.scheduler.allowed-failures": _RETRIES_AFTER_WORKER_DEATH,
         "distributed.comm.timeouts.connect": LOCAL_TIMEOUT_S,
+        # Dask watches itself for a dashboard: a client and a worker then take 3.0 and 2.6 % of a core, not 1.4 and 0.9.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1s",
     }
     with contextlib.ExitStack() as entered:
         entered.enter_context(dask.config.set(settings))

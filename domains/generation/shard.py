@@ -129,9 +129,8 @@ def picture_cells(
 ) -> list[dict[str, Any]]:
     """Return the picture columns of one contact for recipes that share their pictures, rendered once."""
     first = recipes[0]
-    renderer = renderer_of(first)
-    view = View(renderer, state, coarse_n)
-    picture = renderer.picture(
+    view = View(renderer_of(first), state, coarse_n)
+    picture = view.renderer.picture(
         *view.membrane,
         markers=_shows_markers(first),
         rng=random_stream(first.seed, first.picture_name, "sensor noise", frame),
@@ -150,9 +149,9 @@ def _optional(recipe: DomainRecipe) -> list[Column]:
 
 def reference_png(recipe: DomainRecipe) -> bytes:
     """Return a domain's picture without contact."""
-    renderer = renderer_of(recipe)
     rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
-    return encode_png(_as_shown(recipe, renderer.reference(markers=_shows_markers(recipe), rng=rng)))
+    picture = renderer_of(recipe).reference(markers=_shows_markers(recipe), rng=rng)
+    return encode_png(_as_shown(recipe, picture))
 
 
 def renderer_of(recipe: DomainRecipe) -> MembraneRenderer:

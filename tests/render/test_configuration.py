@@ -23,6 +23,7 @@ from gelgap.render.light.spectra import (
 )
 from gelgap.render.renderer import MembraneRenderer, reference_gap
 from gelgap.render.sensor import Markers, Sensor, marker_rest_mm, save_sensor
+from gelgap.render.surface import shared_surface
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 
 NIKON = "Nikon 5100 (NPL)"
@@ -100,7 +101,7 @@ def test_irradiance_of_a_small_led_follows_the_inverse_square(renderer, kind):
     )
     emitters = Illumination(leds=(led,)).emitters(Camera())
     detail = ShadowDetail(1.0, 3, 0.3)
-    flat = renderer()._surface_on_lattice(renderer()._flat, "flat")
+    flat = shared_surface(renderer().lattice, renderer()._flat, "flat")
     found = direct_light(flat, led_samples(emitters, detail), detail, None).irradiance[..., 0]
     way = np.array(led.position_mm) - flat.positions_mm
     r = np.linalg.norm(way, axis=-1)

@@ -8,7 +8,7 @@ from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import Scattered, harmonics
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Sensor, save_sensor
-from gelgap.render.surface import Membrane
+from gelgap.render.surface import Membrane, shared_surface
 
 SIZE_PX = (96, 72)
 SOME = tuple(tuple(0.02 * np.sin(np.arange(9) + channel)) for channel in range(3))
@@ -151,7 +151,7 @@ def test_a_nearly_parallel_camera_is_rastered_precisely():
     )
     sensor = Sensor.preset("paper").model_copy(update={"camera": camera})
     renderer = MembraneRenderer(sensor, Illumination.preset("i0"), SIZE_PX)
-    geometry = renderer._geometry(renderer._surface_on_lattice(renderer._flat, "flat"))
+    geometry = renderer._geometry(shared_surface(renderer.lattice, renderer._flat, "flat"))
     x_mm = (np.arange(96) + 0.5 - 48) * 12 / 96
     np.testing.assert_allclose(geometry[..., 0], np.broadcast_to(x_mm, (72, 96)), atol=2e-5)
 

@@ -218,8 +218,8 @@ def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, 
     sensor = renderer("i0").sensor.model_copy(update={"coating": Coating(specular=specular, roughness=0.3)})
     render = MembraneRenderer(sensor, renderer("i0").illumination)
 
-    def changed_everywhere(field, name):
-        surface = deformed_surface(render.lattice, field, name)
+    def changed_everywhere(lattice, field, name):
+        surface = deformed_surface(lattice, field, name)
         changed = np.ones_like(surface.changed)
         _world_heights(surface.positions_mm, changed, surface.grid, surface.height_mm)
         return surface._replace(changed=changed)
@@ -227,8 +227,9 @@ def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, 
     for case in (dent(0.2), dent(1.0, (0.5, 0.2), (1.0, -0.5))):
         fast = render.picture(*case).astype(int)
         everything = MembraneRenderer(render.sensor, render.illumination)
-        monkeypatch.setattr(everything, "_surface_on_lattice", changed_everywhere)
-        assert np.abs(everything.picture(*case).astype(int) - fast).max() <= 1
+        with monkeypatch.context() as patch:
+            patch.setattr("gelgap.render.renderer.shared_surface", changed_everywhere)
+            assert np.abs(everything.picture(*case).astype(int) - fast).max() <= 1
 
 
 @pytest.mark.parametrize("name", ["gelsight-2014-like", "gelsight-mini-like"])
