@@ -30,8 +30,8 @@ LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
 _LONGEST_FORECASTS, _MOST_OF_LONGEST, _FEWEST_FORECASTS = 2.5, 3.0, 1.5
 # A draft of a convex body that is forecast above so many core seconds, or these for each waypoint, gets wider cells, by
 # what it is above to a power, up to `_WIDEST` times: scenes 147 and 327 take 13 and 19 core seconds for 72 and 46. With
-# fewer cells in the box around what is touched, times iterations, no forecast is as high.
-_DRAFT_S, _DRAFT_WAYPOINT_S, _WIDENED_POWER, _WIDEST, _FEW_CELLS = 20.0, 5.0, 0.3, 2.0, 6000
+# fewer cells in the box around what is touched, times iterations, for each of these seconds no forecast is as high.
+_DRAFT_S, _DRAFT_WAYPOINT_S, _WIDENED_POWER, _WIDEST, _CELLS_PER_S = 20.0, 5.0, 0.3, 2.0, 300.0
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
@@ -101,9 +101,9 @@ def affordable(problem: ContactProblem) -> ContactProblem:
         return problem
     swept_mm = np.ptp(problem.cut_mm, axis=1) + np.ptp(problem.segments[:, :, :2], axis=(0, 1))
     cells = math.prod(swept_mm[axis] / problem.cell_along_mm(axis) for axis in (0, 1))
-    if cells * expected_iterations(problem) < _FEW_CELLS:
-        return problem
     may_s = max(_DRAFT_S, _DRAFT_WAYPOINT_S * len(problem.waypoints_mm))
+    if cells * expected_iterations(problem) < _CELLS_PER_S * may_s:
+        return problem
     most = min(_WIDEST, round((expected_core_s(problem) / may_s) ** _WIDENED_POWER, 1))
     for times in np.arange(most, 1.05, -0.1).round(1).tolist():
         size = replace(quality, disc=quality.disc.widened(times), pad=quality.pad.widened(times))
