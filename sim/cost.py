@@ -28,10 +28,10 @@ DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
 # `_MOST_OF_LONGEST` times these, but not before `_FEWEST_FORECASTS`: nine of ten random bodies take no more.
 LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
 _LONGEST_FORECASTS, _MOST_OF_LONGEST, _FEWEST_FORECASTS = 2.5, 3.0, 1.5
-# A draft of a convex body that is forecast above so many core seconds, or these for each waypoint, gets wider cells, by
-# what it is above to a power, up to `_WIDEST` times: scenes 147 and 327 take 13 and 19 core seconds for 72 and 46. With
-# fewer cells in the box around what is touched, times iterations, for each of these seconds no forecast is as high.
-_DRAFT_S, _DRAFT_WAYPOINT_S, _WIDENED_POWER, _WIDEST, _CELLS_PER_S = 20.0, 5.0, 0.3, 2.0, 300.0
+# A draft of a convex body forecast above twice these core seconds, or these for each waypoint, gets wider cells, by a
+# power of how many times these it is, at most `_WIDEST`: scenes 147 and 327 take 13 and 19 core seconds for 72 and 46.
+# With fewer cells in the box around what is touched, times iterations, for each of these seconds it is not forecast so.
+_DRAFT_S, _DRAFT_WAYPOINT_S, _WIDENED_POWER, _WIDEST, _CELLS_PER_S = 20.0, 5.0, 0.3, 2.0, 400.0
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75
 
@@ -92,10 +92,7 @@ def expected_iterations(problem: ContactProblem) -> float:
 
 
 def affordable(problem: ContactProblem) -> ContactProblem:
-    """Return a draft with cells so wide that its forecast is what one may take, if they serve the body; else itself.
-
-    Estimates of error grow with the cells. Bodies that are not convex have a largest number of them.
-    """
+    """Return a draft with cells so wide that its forecast is what one may take, if they serve the body; else itself."""
     quality = problem.quality
     if quality.name != "draft" or not problem.indenter.convex:
         return problem
@@ -105,7 +102,8 @@ def affordable(problem: ContactProblem) -> ContactProblem:
     if cells * expected_iterations(problem) < _CELLS_PER_S * may_s:
         return problem
     most = min(_WIDEST, round((expected_core_s(problem) / may_s) ** _WIDENED_POWER, 1))
-    for times in np.arange(most, 1.05, -0.1).round(1).tolist():
+    # Cells wider by less would change many solves that are hardly dear.
+    for times in np.arange(most, 1.25, -0.1).round(1).tolist():
         size = replace(quality, disc=quality.disc.widened(times), pad=quality.pad.widened(times))
         if is_served(wider := replace(problem, quality=size)):
             return wider
