@@ -215,6 +215,8 @@ _Served = tuple[ContactProblem, dict[int, tuple[int, CanonicalFrame]]]
 
 
 def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
+    from gelgap.sim.cost import affordable
+
     for pose in {
         (p.point_x_mm, p.point_y_mm, p.depth_mm, p.radius_mm, p.turn_deg): p for p in poses
     }.values():
@@ -226,7 +228,7 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
             placements[index] = Placement(len(solves), record, frame)
         problem = bridged(problem)
         check_sharpness(problem)
-        solves.append(Solve(problem, scene.sharing.cache))
+        solves.append(Solve(affordable(problem), scene.sharing.cache))
     return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))
 
 

@@ -87,6 +87,11 @@ class MeshSize:
         poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)
         return (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
 
+    def widened(self, times: float) -> Self:
+        """Return the size of a mesh whose cells are so many times as wide; a and b are about as cells are wide."""
+        a, b, c = self.stiffness
+        return replace(self, across=self.across / times, stiffness=(a * times, b * times, c))
+
 
 @dataclass(frozen=True)
 class Quality:
@@ -361,7 +366,7 @@ class ContactProblem:
     @property
     def most_cells_along(self) -> int:
         """How many cells there are at most along each axis under a body that is not convex; fewer of a whole pad."""
-        share = self.mesh_size.across / self.quality.disc.across
+        share = self.mesh_size.across / QUALITIES[self.quality.name].disc.across
         return int(share * _MOST_CELLS_ALONG[self.quality.name] + 1e-9)
 
     def cell_along_mm(self, axis: int) -> float:

@@ -1,13 +1,16 @@
 """What a solve takes is known before: it grows with the work, its iterations are about right, and advice is true."""
 
+from dataclasses import replace
+
 import pytest
 
 from gelgap.sim import Box, Elastomer, Pose, Sphere
 from gelgap.sim.cost import DEAR_S, Work, cheaper, expected_core_s, expected_work, forecast, most_iterations
+from gelgap.sim.grading import is_served
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.newton import solve
 from gelgap.sim.plan import plan_visit
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import QUALITIES, ContactProblem
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 # Most of this slide is not moved: its line is broken.
@@ -42,6 +45,16 @@ def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
     assert "cheaper" not in forecast(_problem(Pose(depth_mm=0.6)))
     box = _problem(Pose(depth_mm=0.6), Box(yaw_deg=20.0, tilt_deg=(3.0, 2.0)), "standard")
     assert next(iter(cheaper(box))) == "quality draft"
+
+
+def test_a_dear_draft_gets_wider_cells_that_serve_its_edges() -> None:
+    thin = GEL.model_copy(update={"thickness_mm": 1.2, "pad_size_mm": (40.0, 40.0)})
+    box = Box(size_mm=(7.0, 2.0), edge_radius_mm=0.15, yaw_deg=7.0)
+    wider = plan_visit(thin, box, (Pose(0.4), Pose(0.4, 0.4, 0.4)), "draft").solves[0].problem
+    usual = replace(wider, quality=QUALITIES["draft"])
+    assert expected_core_s(usual) > 42 > 25 > expected_core_s(wider)
+    assert is_served(wider)
+    assert "times as wide" in forecast(wider)
 
 
 def test_work_costs_what_it_consists_of() -> None:
