@@ -163,7 +163,8 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    variance[:2] += _off_lines(problem, record) ** 2
+    # The radius counts from the centre of force, which moves as the shares of several patches do.
+    variance[:3] += _off_lines(problem, record) ** 2
     if problem.is_ring and radius_mm:
         variance[2] += (problem.cell_mm / 2 / radius_mm) ** 2
         variance[3] += (_BETWEEN_LINES * problem.cell_mm / _patch_mm(problem, record)) ** 2

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import Diagnostics
+from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.membrane import (
     MembraneState,
@@ -333,8 +333,9 @@ class PoseLibrary:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
-        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is.
-        Estimates of its error are theirs and the error measured on held-out poses, added as squares.
+        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is, or
+        held-out poses' forces are off by more than the quality promises. Estimates of its error are theirs and the
+        error measured on held-out poses, added as squares.
 
         Raises
         ------
@@ -390,7 +391,8 @@ class PoseLibrary:
         found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
         # Estimates of the mesh's errors with those that were measured, if any were.
         measured = {} if self.held_out is None else self.errors
-        off_n = measured.get("force_rms_percent", 0.0) / 100 * float(np.linalg.norm(force_n))
+        off_share = measured.get("force_rms_percent", 0.0) / 100
+        off_n = off_share * float(np.linalg.norm(force_n))
         off_mm = measured.get("membrane_rms_um", 0.0) / 1000
         return LibraryPose(
             *axes_mm,
@@ -406,9 +408,9 @@ class PoseLibrary:
                 elastic_energy_mj=modulus * float(near.value("elastic_energy_mj")),
                 fz_error_n=math.hypot(modulus * errors[0], off_n),
                 shear_error_n=math.hypot(modulus * errors[1], off_n),
-                contact_radius_error_mm=float(errors[2]),
+                contact_radius_error_mm=math.hypot(errors[2], measured.get("radius_rms_um", 0.0) / 1000),
                 membrane_error_mm=math.hypot(errors[3], off_mm),
-                coarse=bool(near.each("coarse").any()),
+                coarse=bool(near.each("coarse").any()) or off_share > LARGEST_ESTIMATE[self.plan.quality],
                 folded=folded,
             ),
             neighbours=near,
@@ -418,7 +420,7 @@ class PoseLibrary:
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
     ) -> "pd.DataFrame":
-        """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
+        """Return how far off the library is on a plan's poses, a row for each: force, membrane, radius and picture.
 
         The membrane's error is rms within four contact radii, the picture's in its code values.
         """
@@ -438,6 +440,7 @@ class PoseLibrary:
                 "force_n": float(np.linalg.norm(exact.force_n)),
                 "force_share": float(np.linalg.norm(off_n) / np.linalg.norm(exact.force_n)),
                 "membrane_um": 1e3 * _rms(off_mm[near]),
+                "radius_um": 1e3 * abs(served.contact_radius_mm - exact.contact_radius_mm),
                 "converged": seen,
             }
             if picture is not None:
@@ -465,6 +468,7 @@ class PoseLibrary:
             "force_largest_percent": 100 * float(table["force_share"].max()),
             "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
+            "radius_rms_um": _rms(table["radius_um"]),
             "within_bounds": force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM,
         }
         if "picture_codes" in table:
