@@ -163,7 +163,7 @@ def diagnose(
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, radius_mm)
     variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
-    variance[:2] += _off_lines(problem, record) ** 2
+    variance[:3] += _off_lines(problem, record) ** 2
     if problem.is_ring and radius_mm:
         variance[2] += (problem.cell_mm / 2 / radius_mm) ** 2
         variance[3] += (_BETWEEN_LINES * problem.cell_mm / _patch_mm(problem, record)) ** 2
@@ -198,7 +198,7 @@ def diagnose(
 
 
 def _off_lines(problem: ContactProblem, record: Record) -> float:
-    """Return by what share the force may be off because the contact does not lie along the lines of the mesh."""
+    """Return by what share force, and a radius from its centre, may be off where a contact is not along the lines."""
     if problem.indenter.convex:
         if problem.narrowness >= _ACROSS_SHARE:
             return 0.0

@@ -3,8 +3,7 @@
 A press at some depths, a drag at each. How far a drag has come is measured by what it takes to slide: in Hertzian
 contact an incompressible gel slides as a whole from a travel of about 1.5 μ × depth on (Mindlin 1949), so that drags at
 different depths are alike where they are interpolated. A drag in one direction serves all, as an indenter of revolution
-on a gel without edges allows, and every contact point and modulus. What is served is a press straight down and a drag
-in a straight line, as `gelgap.sim.Pose` is.
+on a gel without edges allows, and every contact point and modulus. Served are presses and straight drags.
 """
 
 import logging
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import Diagnostics
+from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.membrane import (
     MembraneState,
@@ -213,9 +212,8 @@ class LibraryPlan:
     def served_by(self, solutions: Mapping[str, Solution], picture: PictureOf | None = None) -> "PoseLibrary":
         """Return the library of all `solves`, with its errors on held-out poses, of pictures too if one can be drawn.
 
-        As long as they are above the bounds, the interval of depths where they are largest is halved. That takes two
-        more solves, in this process: the depth between, and a held-out depth in the deeper half. No more than
-        `MOST_SOLVES` are made.
+        As long as they are above the bounds, the interval of depths where they are largest is halved, by two more
+        solves: the depth between, and a held-out depth in the deeper half; at most `MOST_SOLVES` in all.
         """
         import pandas as pd
 
@@ -336,8 +334,8 @@ class PoseLibrary:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
-        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is.
-        Estimates of its error are theirs and the error measured on held-out poses, added as squares.
+        counts as converged if the equilibria around it are and it is unfolded, as coarse if one of them is or held-out
+        forces are off by more than the quality promises. Estimates of error are theirs and held-out ones, as squares.
 
         Raises
         ------
@@ -393,8 +391,8 @@ class PoseLibrary:
         found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
         # Estimates of the mesh's errors with those that were measured, if any were.
         measured = {} if self.held_out is None else self.errors
-        off_n = measured.get("force_rms_percent", 0.0) / 100 * float(np.linalg.norm(force_n))
-        off_mm = measured.get("membrane_rms_um", 0.0) / 1000
+        off_share = measured.get("force_rms_percent", 0.0) / 100
+        off_n = off_share * float(np.linalg.norm(force_n))
         return LibraryPose(
             *axes_mm,
             displacement_mm,
@@ -409,9 +407,9 @@ class PoseLibrary:
                 elastic_energy_mj=modulus * float(near.value("elastic_energy_mj")),
                 fz_error_n=math.hypot(modulus * errors[0], off_n),
                 shear_error_n=math.hypot(modulus * errors[1], off_n),
-                contact_radius_error_mm=float(errors[2]),
-                membrane_error_mm=math.hypot(errors[3], off_mm),
-                coarse=bool(near.each("coarse").any()),
+                contact_radius_error_mm=math.hypot(errors[2], measured.get("radius_rms_um", 0.0) / 1000),
+                membrane_error_mm=math.hypot(errors[3], measured.get("membrane_rms_um", 0.0) / 1000),
+                coarse=bool(near.each("coarse").any()) or off_share > LARGEST_ESTIMATE[self.plan.quality],
                 folded=folded,
             ),
             neighbours=near,
@@ -421,7 +419,7 @@ class PoseLibrary:
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
     ) -> "pd.DataFrame":
-        """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
+        """Return how far off the library is on a plan's poses, a row for each: force, membrane, radius and picture.
 
         The membrane's error is rms within four contact radii, the picture's in its code values.
         """
@@ -441,6 +439,7 @@ class PoseLibrary:
                 "force_n": float(np.linalg.norm(exact.force_n)),
                 "force_share": float(np.linalg.norm(off_n) / np.linalg.norm(exact.force_n)),
                 "membrane_um": 1e3 * _rms(off_mm[near]),
+                "radius_um": 1e3 * abs(served.contact_radius_mm - exact.contact_radius_mm),
                 "converged": seen,
             }
             if picture is not None:
@@ -468,6 +467,7 @@ class PoseLibrary:
             "force_largest_percent": 100 * float(table["force_share"].max()),
             "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
+            "radius_rms_um": _rms(table["radius_um"]),
             "within_bounds": force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM,
         }
         if "picture_codes" in table:

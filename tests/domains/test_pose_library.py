@@ -66,7 +66,11 @@ def test_held_out_poses_tell_the_error_of_those_between(checked: PoseLibrary) ->
     assert off == pytest.approx(row["force_share"], abs=0.02)
     assert 0 < checked.errors["force_rms_percent"] < 5
     assert 0 < checked.errors["membrane_rms_um"] < 5
+    assert served.diagnostics.contact_radius_error_mm > checked.errors["radius_rms_um"] / 1000 > 0
     assert served.diagnostics.fz_error_n > row["force_n"] * checked.errors["force_rms_percent"] / 100 * 0.5
+    press, worse = Pose(depth_mm=0.07), replace(checked, held_out=checked.held_out.assign(force_share=0.04))
+    assert not checked.state(GEL, press).diagnostics.coarse
+    assert worse.state(GEL, press).diagnostics.coarse
 
 
 @settings(max_examples=25, deadline=None)
