@@ -132,7 +132,7 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path, caplog: pytest.Log
         (np.full((20, 20), np.nan), {"spacing_mm": 0.1}, "hold NaN or an infinity .*: fill in"),
         (np.eye(20), {"spacing_mm": "0.1"}, "spacing_mm = '0.1': a map needs it, 0 to 1"),
         (np.eye(20), {"spacing_mm": 0.1, "edge_radius_mm": "0.1"}, "edge_radius_mm = '0.1': input should be"),
-        (np.eye(20), {}, "spacing_mm = None: a map needs it"),
+        (np.eye(20), {}, "not 0; as spacing_mm=0.05"),
         (np.eye(20), {"spacing_mm": 0.1, "step_mm": -1001.0}, "step_mm = -1001.0: a map needs it, -1000 to"),
         (np.zeros(20), {"spacing_mm": 0.1}, "must be 3 to"),
         (np.array([["a"]]), {"spacing_mm": 0.1}, "must be numbers"),
