@@ -14,6 +14,7 @@ from gelgap.assets.checksums import with_checksum
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
+from gelgap.domains.formats.domain_folder import DomainName
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differences, make_recipes, read_with_path
@@ -42,7 +43,7 @@ class Factor(Settings):
 class Sweep(Settings):
     """Which domains to make: the base, and its variants."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    name: DomainName
     base: str = Field(description="a domain by its name, such as mb0i0")
     path: str = "smoke"
     method: Literal["grid", "one-at-a-time", "latin-hypercube"] = "grid"

@@ -175,7 +175,8 @@ class Surface(Shape):
                 bounds = ("spacing_mm", spacing_mm, 0, 1), ("step_mm", step_mm, -1000, 1000)
                 for name, given, least, most in bounds:
                     if not isinstance(given, float | int) or not least <= given <= most or given == 0:
-                        raise ValueError(f"{name} = {given!r}: a map needs it, {least} to {most} mm, not 0")
+                        allowed = f"{least} to {most} mm, not 0, as spacing_mm=0.05 step_mm=1e-5"
+                        raise ValueError(f"{name} = {given!r}: must be {allowed}")
                 empty = values == 0
                 if step_mm < 0 and empty.any() and values[~empty].min(initial=np.inf) > values.max() / 2:
                     said = "%s: %d places are 0 and touch first: if a depth camera saw nothing there, fill them in"

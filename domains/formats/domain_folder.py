@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from gelgap.assets.checksums import file_sha256, parse_json, sha256, with_checksum, without_checksum
 from gelgap.assets.locks import sole_use
@@ -20,7 +21,17 @@ from gelgap.assets.whole_file import write_whole
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
 SHARDS = "frames-*.parquet"
-DomainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=128)]
+
+
+def _plain(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", name):
+        raise ValueError(
+            "must be of letters a to z, digits and . _ + -, without spaces or accents, no sign first"
+        )
+    return name
+
+
+DomainName = Annotated[str, AfterValidator(_plain), Field(max_length=128)]
 
 
 def shard_name(number: int) -> str:

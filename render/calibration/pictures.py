@@ -91,8 +91,8 @@ class ListedPress(Settings):
 
 
 _NEEDED = (
-    "a calibration needs a TOML file with a table [[presses]] for each image: picture, sphere_diameter_mm, and "
-    "depth_mm or radius_px"
+    "a calibration needs a folder of pictures of a pressed ball, or a TOML file with a table [[presses]] for each "
+    "image: picture, sphere_diameter_mm, and depth_mm or radius_px"
 )
 
 

@@ -147,7 +147,7 @@ def test_another_file_than_a_list_of_presses_is_refused(
     given = tmp_path / name, "--reference", tmp_path / "p.png", "--mm-per-px", "0.03"
     said = refused("calibrate", *given, "-o", tmp_path / "own.toml")
     assert f"{name} {problem}" in said
-    assert "needs a TOML file with a table [[presses]] for each image" in said
+    assert "needs a folder of pictures of a pressed ball, or a TOML file with a table [[presses]] for" in said
 
 
 @pytest.mark.parametrize(

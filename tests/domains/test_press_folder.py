@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelgap.assets.image_file import picture_files, visible_files
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import press_folder
 from gelgap.domains.press_folder import SHEET, mark_presses, stills_of
@@ -77,6 +78,7 @@ def test_reference_centres_and_radii_are_found_also_of_a_cut_press(folder: Path)
         assert press.radius_px == pytest.approx(radius_px, rel=0.12)
         assert press.sphere_diameter_mm == BALL_MM
     assert cv2.imread(str(folder / SHEET)).shape[1] == 3 * 2 * 320
+    assert SHEET not in [file.name for file in picture_files(visible_files(folder))]  # for adapt and predict
 
 
 def test_what_may_have_been_corrected_is_not_overwritten(folder: Path) -> None:
