@@ -16,7 +16,7 @@ from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, ContactProblem
 from gelgap.sim.rim import sticking_share
-from gelgap.sim.scene import Elastomer
+from gelgap.sim.scene import Elastomer, Moduli
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
@@ -63,7 +63,9 @@ _SHARP_EDGE = 0.0055
 _COVERED = 0.0175
 # By lubrication theory a wide contact is stiffer by (a/h)² times half to twice this for what ν is above the mesh's.
 _LAYER_RISE = 4.0
-_EQUIVALENT_OFF = 0.6  # half of how far shallow presses are off Hertz's force, over what E′ is above E
+# Half of how far shallow presses are off Hertz's force, over what E′ is above E; what the modulus of confined gel is
+# above, up to a tenth, under a contact whose radius is this many thicknesses.
+_EQUIVALENT_OFF, _CONFINED_THICKNESSES = 0.6, 6.0
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
 # The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
@@ -175,8 +177,12 @@ def diagnose(
     rise = _LAYER_RISE * max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
     variance[0] += (rise * (radius_mm / problem.thickness_mm) ** 2) ** 2
     coarse = math.sqrt(variance[:2].max()) > LARGEST_ESTIMATE[problem.quality.name]
-    stiffer = gel.mujoco_moduli.young_modulus_mpa / gel.young_modulus_mpa
-    variance[:2] += (_EQUIVALENT_OFF * (stiffer - 1)) ** 2
+    own, equivalent = Moduli(gel.young_modulus_mpa, gel.poisson_ratio), problem.moduli_of(gel)
+    free = equivalent.young_modulus_mpa / own.young_modulus_mpa - 1
+    confined = _confined_mpa(equivalent) / _confined_mpa(own) - 1
+    wide = min(radius_mm, problem.meshed_radius_mm) / problem.thickness_mm
+    stiffer = np.interp(wide, [0.0, _CONFINED_THICKNESSES], [free, confined])
+    variance[:2] += (_EQUIVALENT_OFF * stiffer) ** 2
     fz, shear, radius, membrane = np.sqrt(variance).tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     torque_n_mm = abs(float(record.torque_n_mm[2]))
@@ -195,6 +201,12 @@ def diagnose(
         membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
         coarse=coarse,
     )
+
+
+def _confined_mpa(moduli: Moduli) -> float:
+    """Return the modulus λ + 2μ of gel that cannot give sideways, at the ν of its mesh."""
+    meshed = Moduli(moduli.young_modulus_mpa, min(moduli.poisson_ratio, LARGEST_POISSON_RATIO))
+    return meshed.lame_mpa + 2 * meshed.shear_mpa
 
 
 def _off_lines(problem: ContactProblem, record: Record) -> float:

@@ -156,4 +156,5 @@ def _pressure_radius_mm(solution: Solution, record: Record) -> float:
     if np.ptp(square[edge]) < one_radius:
         return largest
     slope, offset = np.polyfit(square[edge], share_outside[edge] ** (2 / 3), 1)
-    return float(np.sqrt(max(-offset / slope, 0.0))) if slope < 0 else largest
+    widest_mm = largest + solution.problem.cell_mm  # which the line exceeds under a long body
+    return min(float(np.sqrt(max(-offset / slope, 0.0))), widest_mm) if slope < 0 else largest

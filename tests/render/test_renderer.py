@@ -296,7 +296,7 @@ def test_a_distorted_picture_shows_in_each_pixel_what_its_ray_meets(camera):
     size_px = (64, 48)
     sensor = Sensor.preset("paper").model_copy(update={"camera": camera})
     render = MembraneRenderer(sensor, Illumination.preset("i0"), size_px, "draft")
-    seen_mm = render._geometry(render._surface_on_lattice(render._flat, "flat")).reshape(-1, 2)
+    seen_mm = render._geometry(shared_surface(render.lattice, render._flat, "flat")).reshape(-1, 2)
     np.testing.assert_allclose(seen_mm, camera.plane_of_picture_mm(size_px), atol=0.02)
     pixels = np.indices(size_px[::-1])[::-1].reshape(2, -1).T + 0.5
     np.testing.assert_allclose(

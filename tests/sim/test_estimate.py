@@ -97,6 +97,14 @@ def test_a_shallow_press_of_compressible_gel_is_less_certain() -> None:
         assert -found.force_n[2] / hertz_n - 1 < 2 * found.diagnostics.fz_error_n / hertz_n + 0.03
 
 
+def test_a_wide_contact_on_thin_compressible_gel_is_less_certain() -> None:
+    gel = GEL.model_copy(update={"poisson_ratio": 0.46, "thickness_mm": 0.3, "strain_energy": "isochoric"})
+    problem = plan_visit(gel, Sphere(diameter_mm=50.0), [Pose(depth_mm=0.06)], "draft").solves[0].problem
+    solution = _solution(problem, _record(0.06))
+    wide_n, narrow_n = (diagnose(solution, 0, radius, 1.0, 1.0, gel).fz_error_n for radius in (1.73, 0.3))
+    assert wide_n > 0.04 * 0.4 > narrow_n  # at draft there is 8.8 % more force than in linear elasticity
+
+
 def test_what_was_dragged_and_drawn_back_is_as_uncertain_as_both_ways() -> None:
     drag = [Pose(depth_mm=0.6, shear_x_mm=x_mm) for x_mm in (0.1, 0.2, 0.3, 0.2, 0.1)]
     problem = plan_visit(GEL, Sphere(), drag, "draft").solves[0].problem

@@ -1,5 +1,6 @@
 """Solved scenes: signs, theory, symmetry, scaling, convergence, bad input."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -283,6 +284,10 @@ def test_a_path_of_forces_reaches_them_on_its_gel() -> None:
         assert -solve_pose(GEL, BALL, Pose(depth_mm=depth), "draft").force_n[2] == pytest.approx(
             force, rel=0.05
         )
+    # Far below the first step of the descent, under a flat end.
+    flat, lightly = Cylinder(edge_radius_mm=0.5), ForcePath(replace(path.in_newtons, depths_mm=(0.02,)))
+    (depth,) = path_on_gel(lightly, GEL, flat, "draft").depths_mm
+    assert -solve_pose(GEL, flat, Pose(depth_mm=depth), "draft").force_n[2] == pytest.approx(0.02, rel=0.15)
     with pytest.raises(ValueError, match=r"force_n = 90 of path forces: must be at most .* N, at 1.5 mm"):
         path_on_gel(
             ForcePath(ContactPath("forces", (0.0,), (0.0,), (90.0,), (0.0,), (0.0,))), GEL, BALL, "draft"

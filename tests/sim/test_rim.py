@@ -61,6 +61,16 @@ def test_the_gap_says_where_a_contact_ends() -> None:
     assert contact_radius_mm(solution, record) == pytest.approx(RADIUS_MM, rel=0.015)
 
 
+def test_a_long_contact_ends_within_a_cell_of_its_last_vertices() -> None:
+    solution, record = _hertz()
+    long = replace(solution, rest_mm=(10 * solution.rest_mm[0],))
+    x_mm, y_mm = np.abs(long.rest_mm[0]).T
+    # The ends of a lying cylinder press the hardest.
+    line = ((x_mm < 10.0) & (y_mm < 0.2)) * (1 + x_mm / 4).astype(np.float32)
+    moved = replace(record, normal_force_n=line, indenter_mm=np.array([0.1, 0.0, -0.2]))
+    assert 9.9 < contact_radius_mm(long, moved) < 10.0 + solution.problem.cell_mm
+
+
 def test_a_mesh_that_turns_with_too_wide_a_contact_has_its_torque_reduced() -> None:
     right, wide = (twist_factor(*_hertz(end_mm)) for end_mm in (RADIUS_MM, 1.05 * RADIUS_MM))
     assert right == pytest.approx(1.0, abs=0.06)
