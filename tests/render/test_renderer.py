@@ -14,7 +14,7 @@ from gelgap.render.imaging import encode, sensor_noise
 from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Coating, Markers, Sensor, marker_rest_mm
-from gelgap.render.surface import _world_heights, deformed_surface
+from gelgap.render.surface import _world_heights, deformed_surface, shared_surface
 
 pytestmark = pytest.mark.numerical
 
