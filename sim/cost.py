@@ -120,11 +120,11 @@ def most_iterations(problem: ContactProblem) -> int:
 def cheaper(problem: ContactProblem) -> dict[str, float]:
     """Return what would make a solve cheaper, and the core seconds that it would take then, the least first.
 
-    Each is found by planning the changed problem, so that what does not help in this scene is not named.
+    Each is found by planning the changed problem, with cells of the same size, so that what does not help is not named.
     """
     changed = {}
     if problem.quality.name != "draft":
-        changed["quality draft"] = replace(problem, quality=QUALITIES["draft"])
+        changed["quality draft"] = affordable(replace(problem, quality=QUALITIES["draft"]))
     if problem.travel_mm > 0:
         shorter = tuple((x / 2, y / 2, z) for x, y, z in problem.waypoints_mm)
         changed["half the travel"] = replace(problem, waypoints_mm=shorter)
@@ -146,9 +146,7 @@ def cheaper(problem: ContactProblem) -> dict[str, float]:
     now_s, needed_s = expected_core_s(problem), {}
     for change, other in changed.items():
         try:
-            needed_s[change] = expected_core_s(
-                affordable(replace(other, quality=QUALITIES[other.quality.name]))
-            )
+            needed_s[change] = expected_core_s(other)
         except ValueError:  # A body that touches with all of its face from some depth on, say.
             continue
     helping = {change: s for change, s in needed_s.items() if s <= _WORTHWHILE_SHARE * now_s}
