@@ -3,7 +3,6 @@
 import multiprocessing
 import pickle
 import sys
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -286,20 +285,15 @@ def test_threads_that_share_a_renderer_get_pictures_of_their_own_membranes(rende
 
 
 def test_a_process_that_forks_while_a_thread_draws_may_draw():
-    drawing = threading.Event()
-
-    def draw():
-        with LOCK:
-            drawing.set()
-            time.sleep(0.2)
-
-    thread = threading.Thread(target=draw)
-    thread.start()
-    drawing.wait()
-    worker = multiprocessing.get_context("fork").Process(target=lambda: sys.exit(not LOCK.acquire(timeout=1)))
-    worker.start()
-    worker.join()
-    thread.join()
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(LOCK.acquire).result()
+        thread.submit(time.sleep, 0.2)
+        thread.submit(LOCK.release)
+        worker = multiprocessing.get_context("fork").Process(
+            target=lambda: sys.exit(not LOCK.acquire(timeout=1))
+        )
+        worker.start()
+        worker.join()
     assert worker.exitcode == 0
 
 
