@@ -138,7 +138,7 @@ class BallResidual(Settings):
         for channel in range(3):
             weighted = (columns * usable[:, channel, None]).T
             normal = weighted @ columns
-            by_shape = normal.diagonal()[:_SHAPES] / len(radii_mm)
+            by_shape = normal.diagonal()[:_SHAPES] / len(radii_mm) + 1e-9  # a dark channel shows nothing
             ridge = np.diag(_RIDGE * by_shape + _LEAST_RIDGE * by_shape.mean())
             normal += np.kron(np.eye(3), ridge + _BEND * by_shape.mean() * _BENDS)
             coefficients[:, channel] = np.linalg.solve(normal, weighted @ left[:, channel])

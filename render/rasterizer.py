@@ -28,8 +28,9 @@ INSTALL_HINT = (
     "install the system package libosmesa6 (Debian/Ubuntu: apt-get install libosmesa6), "
     "or libegl1 libegl-mesa0 libgl1-mesa-dri for EGL"
 )
-# Renderers in several threads share rasterisers.
+# Renderers in several threads share rasterisers. No thread draws while its process forks: the child would wait for it.
 LOCK = threading.RLock()
+os.register_at_fork(before=LOCK.acquire, after_in_parent=LOCK.release, after_in_child=LOCK.release)
 _CACHED_RASTERIZERS = 8
 # What stands in pixels that do not see the membrane.
 NOWHERE_MM = 1e6
@@ -243,35 +244,33 @@ class Rasterizer:
     def geometry(self, positions_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 2) float32: rest x and y in mm of the membrane in each pixel; `NOWHERE_MM` where it is not.
 
-        `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call, so that `LOCK` is held
-        while it is read; the same positions again are not rastered again.
+        `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call, so that the caller
+        holds `LOCK` until it is read; the same positions again are not rastered again.
         """
         if self._key is not None and np.array_equal(self._key, positions_mm):
             return self._geometry[::-1]
         gl = self._gl
         self._vertices[:, :3] = positions_mm.reshape(-1, 3)
-        with LOCK:
-            self._context.make_current()
-            gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
-            gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
-            primitive, program, flags = self._drawn
-            self._bind_target(flags)
-            gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
-            program._bind()
-            self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
-            program._unbind()
-            gl.glReadPixels(0, 0, *self._size_px, gl.GL_RG, gl.GL_FLOAT, self._geometry)
+        self._context.make_current()
+        gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
+        gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
+        primitive, program, flags = self._drawn
+        self._bind_target(flags)
+        gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
+        program._bind()
+        self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
+        program._unbind()
+        gl.glReadPixels(0, 0, *self._size_px, gl.GL_RG, gl.GL_FLOAT, self._geometry)
         self._key = positions_mm.copy()
         return self._geometry[::-1]
 
     def delete(self) -> None:
         """Free what this rasteriser holds in the OpenGL context."""
         gl = self._gl
-        with LOCK:
-            self._context.make_current()
-            self._renderer.delete()
-            gl.glDeleteFramebuffers(1, [self._framebuffer])
-            gl.glDeleteRenderbuffers(2, self._renderbuffers)
+        self._context.make_current()
+        self._renderer.delete()
+        gl.glDeleteFramebuffers(1, [self._framebuffer])
+        gl.glDeleteRenderbuffers(2, self._renderbuffers)
 
 
 # By process, camera, grid and picture size.

@@ -156,9 +156,11 @@ def calibrate_light(
     blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
     drawn = [press for other, part in zip(blind, parts, strict=True) for press in _drawn(other, part)]
     share = table_share([press.levels(TABLE_SHARES) for press in drawn]) if drawn else 0.0
-    residual, whole = None, _with_residuals(drawn, share)
-    if whole and _predicts_better(whole, drawn, share):
-        drawn, residual = whole, fit.ball_residual(fit.normal_table(), share)
+    residual = fit.ball_residual(fit.normal_table(), share) if drawn else None
+    if residual is not None and _predicts_better(whole := _with_residuals(drawn, share), drawn, share):
+        drawn = whole
+    else:
+        residual = None
     held_out = [press.held_out(share) for press in drawn]
     if held_out:
         _check_prediction(held_out)
@@ -393,10 +395,10 @@ def _drawn(fit: LightFit, part: np.ndarray) -> list[_Drawn]:
 
 
 def _with_residuals(drawn: Sequence[_Drawn], share: float) -> list[_Drawn]:
-    """Return the presses drawn with what their fits leave around balls; none if there is no such residual."""
-    residuals = {press.fit: press.fit.ball_residual(press.table, share) for press in drawn}
-    own = [replace(press, residual=residuals[press.fit]) for press in drawn]
-    return [] if None in residuals.values() else own
+    """Return the presses, all of one ball, drawn with what their fits leave around it."""
+    tables = {press.fit: press.table for press in drawn}
+    residuals = {fit: fit.ball_residual(table, share) for fit, table in tables.items()}
+    return [replace(press, residual=residuals[press.fit]) for press in drawn]
 
 
 def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn], share: float) -> bool:

@@ -49,6 +49,8 @@ def _open_irradiance(surface, leds, out, lowest):
     px, py, pz, nx, ny, nz = np.empty((6, columns), np.float32)
     total, least = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for j in range(rows):
+        if not surface.changed[j].any():
+            continue
         for i in range(columns):
             px[i], py[i], pz[i] = surface.positions_mm[j, i]
             nx[i], ny[i], nz[i] = surface.normals[j, i]

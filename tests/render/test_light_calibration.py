@@ -504,6 +504,8 @@ def test_what_a_fit_leaves_around_balls_draws_a_press_that_it_has_not_seen(pictu
     plain = placed.picture_of(fit.light, fit.field, 5, pose, 20.0)
     gain_db = np.subtract(placed.scores(5, plain + left.reshape(plain.shape)), placed.scores(5, plain))
     assert gain_db.min() > 2, gain_db
+    fit.usable[:, 2] = 0.0
+    assert not np.array(fit.ball_residual(fit.normal_table(), 0.0).coefficients)[:, 2].any()
     other = replace(placed.presses[1], sphere_diameter_mm=4.0)
     fit.placed = replace(placed, presses=(placed.presses[0], other, *placed.presses[2:]))
     assert fit.ball_residual(fit.normal_table(), 0.0) is None

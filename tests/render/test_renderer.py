@@ -3,6 +3,7 @@
 import multiprocessing
 import pickle
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -12,6 +13,7 @@ from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import encode, sensor_noise
 from gelgap.render.light.leds import Illumination
+from gelgap.render.rasterizer import LOCK
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Coating, Markers, Sensor, marker_rest_mm
 from gelgap.render.surface import _world_heights, deformed_surface, shared_surface
@@ -280,6 +282,19 @@ def test_threads_that_share_a_renderer_get_pictures_of_their_own_membranes(rende
         sys.setswitchinterval(interval)
     wrong = sum((picture != expected[number % 2]).any() for number, picture in enumerate(pictures))
     assert wrong == 0
+
+
+def test_a_process_that_forks_while_a_thread_draws_may_draw():
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(LOCK.acquire).result()
+        thread.submit(time.sleep, 0.2)
+        thread.submit(LOCK.release)
+        worker = multiprocessing.get_context("fork").Process(
+            target=lambda: sys.exit(not LOCK.acquire(timeout=1))
+        )
+        worker.start()
+        worker.join()
+    assert worker.exitcode == 0
 
 
 @pytest.mark.parametrize(
