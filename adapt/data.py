@@ -22,6 +22,7 @@ from gelgap.domains.frames.first_touch import STEP, TRAJECTORY, trajectory_of
 from gelgap.domains.frames.paired_frames import PairedFrames
 from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
 from gelgap.domains.frames.splits import DomainSplit
+from gelgap.domains.frames.stored import GeneratedDomain
 
 # Labels that turn with a picture, and those that no part of a picture shows.
 _TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
@@ -151,7 +152,7 @@ def split_for_training(
 
 def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
     """Say what of the target's frames a random split does not follow: a stated split, or clips of frames alike."""
-    if profile.split_by != "random":
+    if profile.split_by != "random" or isinstance(target, GeneratedDomain):  # which is split at random itself
         return []
     ways = {"split": ("states a split", "given"), "clip": ("has clips, whose frames look alike", "clip")}
     return [
