@@ -91,9 +91,7 @@ def test_a_group_stays_whole_where_some_frames_lack_labels(source, target, short
 
 def test_a_random_split_of_clips_or_of_stated_parts_is_said(source, target, short, valid_files):
     stated = np.repeat(np.array(["train", "test"], dtype=object), 48)
-    clips = some_labels(
-        target, "some", 96, clip=np.repeat(np.array(["a", "b"], dtype=object), 48), split=stated
-    )
+    clips = some_labels(target, "some", 96, clip=stated, split=stated)
     at_random = short.replace(split_by="random")
     of_parts, of_clips = split_for_training(source, clips, at_random, 0).notes
     assert "split_by=given" in of_parts
