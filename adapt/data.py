@@ -22,6 +22,7 @@ from gelgap.domains.frames.first_touch import STEP, TRAJECTORY, trajectory_of
 from gelgap.domains.frames.paired_frames import PairedFrames
 from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
 from gelgap.domains.frames.splits import DomainSplit
+from gelgap.domains.frames.stored import GeneratedDomain
 
 # Labels that turn with a picture, and those that no part of a picture shows.
 _TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
@@ -150,21 +151,16 @@ def split_for_training(
 
 
 def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
-    """Say what a random split of a target does not follow: a stated split, or clips."""
-    said: list[str] = []
-    if profile.split_by != "random":
-        return said
-    if "split" in target.columns and not target.declares_ranges:  # a generated domain's is random, too
-        said.append(
-            f"split_by=random ignores the split that {target.name} states: split_by=given follows it, if the source "
-            "states one"
-        )
-    if "clip" in target.columns:
-        said.append(
-            f"split_by=random divides clips of {target.name}, whose frames look alike: split_by=clip does not, if the "
-            "source has clips"
-        )
-    return said
+    """Say what of the target's frames a random split does not follow: a stated split, or clips of frames alike."""
+    if profile.split_by != "random" or isinstance(target, GeneratedDomain):  # which is split at random itself
+        return []
+    ways = {"split": ("states a split", "given"), "clip": ("has clips, whose frames look alike", "clip")}
+    return [
+        f"{target.name} {what}, which split_by=random ignores; split_by={way} does not, where both domains have a "
+        f"column {column}"
+        for column, (what, way) in ways.items()
+        if column in target.columns
+    ]
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:

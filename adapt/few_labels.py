@@ -278,7 +278,8 @@ def pretrain_on_stream(
         return stream.frames(epoch * n, (epoch + 1) * n)
 
     first = frames_of_epoch(0)
-    key = sha256(f"{stage1_key(first, profile, seed)} {stream.ranges!r}".encode())  # it has not all presses
+    # The first frames do not have all presses.
+    key = sha256(f"{stage1_key(first, profile, seed)} {stream.ranges.model_dump_json()}".encode())
     resume_file = out_dir / f"stream-state-{key[:8]}.pt"
     model = train_source(
         first, profile, seed, resume_file=resume_file, progress=progress, frames_of_epoch=frames_of_epoch

@@ -104,14 +104,15 @@ def imported(place: str, what: str) -> tuple[ModuleType, str]:
 
 def _from_file(name: str) -> ModuleType:
     path = Path(name).resolve(strict=True)
-    # What it defines is found by its module's name when its source is asked for. A file that has changed is run again:
-    # else the old code would go by the new one's hash.
-    known_as = f"gelgap_own_{sha256(str(path).encode() + path.read_bytes())[:12]}"
+    # What it defines is found by its module's name when its source is asked for. A file that has changed is run again,
+    # and not as Python has compiled it within the same second: else old code would go by the new one's hash.
+    code = path.read_bytes()
+    known_as = f"gelgap_own_{sha256(str(path).encode() + code)[:12]}"
     if known_as not in sys.modules:
         spec = spec_from_file_location(known_as, path)
         module = sys.modules[known_as] = module_from_spec(spec)
         try:
-            spec.loader.exec_module(module)
+            exec(compile(code, path, "exec"), vars(module))
         except BaseException:
             del sys.modules[known_as]
             raise

@@ -79,11 +79,11 @@ class PresetSettings(Settings):
             return cls._of_table(read_toml(path), Path(path).stem, Path(path).parent)
 
     @classmethod
-    def named(cls, given: str | Self) -> Self:
+    def named(cls, given: str | Path | Self) -> Self:
         """Return the settings of a preset's name or of a TOML file's, or settings as they are; raises as these do."""
-        if not isinstance(given, str):
+        if isinstance(given, cls):
             return given
-        return cls.load(given) if given.endswith(".toml") else cls.preset(given)
+        return cls.load(given) if str(given).endswith(".toml") else cls.preset(str(given))
 
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:

@@ -22,7 +22,7 @@ def check_methods(names: tuple[str, ...]) -> None:
         raise ValueError(f"name at least one; known: {', '.join(known)}")
     for name in names:
         if ":" not in name and name not in known:
-            raise ValueError(unknown_name("method", name, known))
+            raise ValueError(unknown_name("method", name, (*known, "FILE.py:CLASS")))
 
 
 def check_selector(name: str) -> None:

@@ -151,7 +151,7 @@ class Calibrate(opt.Command):
         print("\n".join(prediction_lines(found)))
         without = [press.name for press in found if not press.has_residual]
         if sensor.ball_residual is not None and without:
-            others = ", ".join(without)
+            others = comma_list(without)
             print(f"without what the fit left around its ball, as of another body, size or depth: {others}")
         write_comparisons(
             [(press.real, press.picture) for press in found],
@@ -289,7 +289,8 @@ def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
     kinds = [kind for kind in of_what if getattr(scored[0], kind) is not None]
     rows = [(press.name, *(level for kind in kinds for level in getattr(press, kind))) for press in scored]
     levels = np.array([row[1:] for row in rows])
-    rows += [("median", *np.median(levels, axis=0)), ("lowest", *levels.min(axis=0))]
+    medians = np.median(levels, axis=0)
+    rows += [("median", *medians), ("lowest", *levels.min(axis=0))]
     what = "PSNR in dB: inside, around"
     width = max(len(what), *(len(name) for name, *_ in rows))
     lines = [f"{what:{width + 2}s}" + "".join(f"{of_what[kind]:>22s}" for kind in kinds)]
@@ -298,10 +299,12 @@ def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
         lines.append(f"  {name:{width}s}" + "".join(f"{inside:14.1f}{ring:8.1f}" for inside, ring in pairs))
     worst = min(range(len(scored)), key=lambda number: gains[number].min())
     where = ("inside", "around")[int(gains[worst].argmin())]
-    return [
-        *lines,
-        f"the press that gains least: {scored[worst].name}, {gains[worst].min():+.1f} dB {where} its contact",
-    ]
+    lines.append(
+        f"the press that gains least: {scored[worst].name}, {gains[worst].min():+.1f} dB {where} its contact"
+    )
+    if (medians[:2] < medians[-2:]).any():
+        lines.append("in the median worse than doing nothing (unchanged): is it this sensor's fit?")
+    return lines
 
 
 def warnings_of(fit: "LightCalibration") -> list[str]:

@@ -79,9 +79,10 @@ def parse(words: Sequence[str]) -> Command:
     if any(re.fullmatch(r"(--[\w-]+=)?", word) for word in words):
         fail(f"a value is empty: gelgap {shlex.join(words)}", EXIT_BAD_INPUT)
     # The parser would take the last alone, without a word; of --set it takes all.
-    options = [word.partition("=")[0] for word in words if re.match("--[a-z]|-o$", word)]
+    spelled_out = ["--out" if word == "-o" else word for word in words]
+    options = [word.partition("=")[0] for word in spelled_out if re.match("--[a-z]", word)]
     if twice := [option for option in options if options.count(option) > 1 and option != "--set"]:
-        fail(f"{twice[0]} is given twice; give it once, several values behind it", EXIT_BAD_INPUT)
+        fail(f"{twice[0]} is given twice; give it once, with all its values", EXIT_BAD_INPUT)
     name = next(iter(words), None)
     if name in COMMANDS:
         return _parse_command(name, tuple(words[1:]))

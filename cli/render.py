@@ -1,6 +1,6 @@
 """`gelgap render`: the sensor's picture of a saved membrane."""
 
-import sys
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +14,7 @@ from gelgap.cli import options as opt
 if TYPE_CHECKING:
     import numpy as np
 
+LOG = logging.getLogger(__name__)
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
@@ -61,8 +62,7 @@ class Render(opt.Command):
                 "by: gelgap press --save state.npz"
             ) from None
         if not state.converged:
-            warning = f"{self.state}: did not converge: this is no picture of it"
-            print(f"gelgap: warning: {warning}", file=sys.stderr)
+            LOG.warning("%s: did not converge: this is no picture of it", self.state)
         sensor = render.Sensor.named(self.sensor)
         light = render.Illumination.named(self.illumination or sensor.illumination or "i0")
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)

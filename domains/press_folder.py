@@ -24,7 +24,7 @@ from gelgap.render.calibration.pictures import ListedPress, PressList
 from gelgap.render.imaging import difference_picture
 
 LIST, SHEET = "presses.toml", PRESSES_SHEET
-_NAMED_REFERENCE = re.compile(rf"(^|[^a-z])({'|'.join(REFERENCE_STEMS)})($|[^a-z])", re.IGNORECASE)
+_NAMED_REFERENCE = re.compile(rf"(^|[^a-z])({'|'.join(REFERENCE_STEMS)}|no[-_ ]contact)($|[^a-z])", re.I)
 _SMALL_PX = (80, 60)
 # An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,
 # and what that has at most of the next smallest.

@@ -288,7 +288,7 @@ def make_recipes(
         Domains without markers that are made, as in the paper, by inpainting the domain with markers; pass `()` to
         have every domain rendered.
     sensor
-        A sensor preset's name, or a sensor.
+        A sensor, or the name of a preset or TOML file.
     columns
         Optional columns.
     exact
@@ -307,7 +307,7 @@ def make_recipes(
         raise ValueError("no domain was named; name at least one, for example mb0i0")
     check_named_once(domain.name for domain in parsed)
     path = load_path(path) if isinstance(path, str) else path
-    sensor = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
+    sensor = Sensor.named(sensor)
     others = [domain for domain in parsed if domain.illumination != OWN_LIGHT]
     if sensor.illumination is not None and "illumination" not in settings and others:
         LOG.warning(

@@ -257,9 +257,8 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
             f"friction {' and '.join(frictions)}: as long as a contact sticks, no picture shows how much "
             "shear it would bear; where one gel slips and the other sticks, shear differs"
         )
-    if bare := [
-        recipe.name for recipe in (source, target) if shown_markers(recipe.sensor, recipe.markers) is None
-    ]:
+    bare = [own.name for own in (source, target) if shown_markers(own.sensor, own.markers) is None]
+    if bare:
         notes.append(
             f"no markers on {' and '.join(bare)}: a single picture shows shear only in how the dent and its shading "
             "lean; how far the dent has moved is seen from first touch on (input touch, needs trajectories)"

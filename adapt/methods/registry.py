@@ -108,7 +108,7 @@ def find_method(name: str) -> "type[Method]":
     if name in METHODS:
         return resolve_name(f"gelgap.adapt.methods.{METHODS[name]}")
     if name not in method_names():
-        raise ValueError(unknown_name("method", name, method_names(), "known methods"))
+        raise ValueError(unknown_name("method", name, (*method_names(), "FILE.py:CLASS"), "known methods"))
     if name not in EXTRA:
         _keep(name, _load(installed_methods()[name]))
     return EXTRA[name]

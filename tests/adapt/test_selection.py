@@ -102,9 +102,7 @@ def test_selection_avoids_constant_predictors_and_names_unknown_selectors():
     assert select(candidates, "source risk") == 2
     assert select(candidates, "feature MMD") == 1
     assert all(select(candidates, selector) in (1, 2) for selector in SELECTORS)
-    broken = replace(
-        candidates[1], source_prediction_n=np.full_like(candidates[1].source_prediction_n, np.nan)
-    )
+    broken = replace(candidates[1], source_prediction_n=np.nan * candidates[1].source_prediction_n)
     assert select([broken, candidates[2]], "source risk") == 1
     with pytest.raises(ValueError, match="known selectors: source risk"):
         select(candidates, "luck")

@@ -10,7 +10,7 @@ from picture_folders import write_pictures
 from gelgap.adapt import adapt_folders, evaluate, finetune, load_predictions, load_run, split_for_training
 from gelgap.adapt.report import selection_table, write_report
 from gelgap.cli.main import main
-from gelgap.domains import ArrayFrames, Labels
+from gelgap.domains import ArrayFrames, Labels, open_domain
 
 
 def pictures(frames: ArrayFrames, name: str, **columns) -> ArrayFrames:
@@ -89,16 +89,17 @@ def test_a_group_stays_whole_where_some_frames_lack_labels(source, target, short
         split_for_training(named, some_labels(target, "some", 3, clip=clip), by_clip, 0)
 
 
-def test_a_random_split_of_clips_or_of_stated_parts_is_said(source, target, short, monkeypatch):
-    halves = {"clip": np.repeat(["a", "b"], 48), "split": np.repeat(["train", "test"], 48)}
-    drawn = short.replace(split_by="random")
-    clips = some_labels(target, "some", 96, **{name: half.astype(object) for name, half in halves.items()})
-    monkeypatch.setattr(clips, "declares_ranges", False)
-    assert [note.split(": ")[1][:14] for note in split_for_training(source, clips, drawn, 0).notes[:2]] == [
-        "split_by=given",
-        "split_by=clip ",
-    ]
-    assert not [note for note in split_for_training(source, target, drawn, 0).notes if "split_by" in note]
+def test_a_random_split_of_clips_or_of_stated_parts_is_said(source, target, short, valid_files):
+    stated = np.repeat(np.array(["train", "test"], dtype=object), 48)
+    clips = some_labels(target, "some", 96, clip=stated, split=stated)
+    at_random = short.replace(split_by="random")
+    of_parts, of_clips = split_for_training(source, clips, at_random, 0).notes
+    assert "split_by=given" in of_parts
+    assert "split_by=clip" in of_clips
+    assert not split_for_training(clips, clips, short.replace(split_by="given"), 0).notes
+    generated = open_domain(valid_files / "data" / "mb0i0")  # states a split at random
+    for own in (target, generated):
+        assert not split_for_training(source, own, at_random, 0).notes
 
 
 def test_source_frames_without_labels_are_left_out_and_counted(source, target, short):

@@ -100,7 +100,7 @@ def test_of_several_kinds_the_one_that_was_meant_is_told() -> None:
 
 def test_settings_are_named_by_preset_or_file_or_are_there(tmp_path: Path) -> None:
     (tmp_path / "gel.toml").write_text("young_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\n")
-    gel = Elastomer.named(str(tmp_path / "gel.toml"))
-    assert gel.young_modulus_mpa == 0.2
+    gel = Elastomer.named(tmp_path / "gel.toml")
+    assert Elastomer.named(str(tmp_path / "gel.toml")).young_modulus_mpa == 0.2
     assert Elastomer.named(gel) is gel
     assert Elastomer.named("b0") == Elastomer.preset("b0")

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.cli.calibrate import doubt_of_scale
+from gelgap.cli.calibrate import doubt_of_scale, prediction_lines
 from gelgap.cli.main import main
+from gelgap.domains.press_prediction import PredictedPress
 from gelgap.render import Camera, Sensor
 from gelgap.render.calibration.calibrator import HeldOut, LightCalibration
 from gelgap.render.calibration.pictures import PressPicture, read_presses
@@ -118,6 +119,13 @@ def test_what_makes_a_fit_doubtful_is_said(
         assert (
             "at an end of the range that is searched, so that it may lie beyond: height of" in out
         ) == bool(limits)
+
+
+@pytest.mark.parametrize(("around_db", "said"), [(24.9, "worse than doing nothing"), (25.1, "gains least")])
+def test_a_sensor_that_predicts_worse_than_nothing_is_doubted(around_db: float, said: str) -> None:
+    picture = np.zeros((2, 2, 3), np.uint8)
+    press = PredictedPress("a", picture, picture, (30.0, around_db), (0.0, 0.0), (20.0, 25.0))
+    assert said in prediction_lines([press])[-1]
 
 
 def test_contacts_that_are_small_for_their_ball_are_doubted() -> None:

@@ -9,7 +9,7 @@ from gelgap.domains import open_domain
 
 
 def test_a_method_that_needs_classes_is_refused_before_work_on_data_without(files: Path, refused) -> None:
-    places = ["--source", files / "pictures", "--target", files / "published", "--out", files / "out"]
+    places = ["--source", files / "pictures", "--target", files / "data" / "mb0i0", "--out", files / "out"]
     line = refused("adapt", *places, "--method", "source-only", "dsan")
     assert "method dsan needs contact classes, and source pictures has frames without one: choose" in line
     assert not list(files.glob("out/**/*.pt"))

@@ -55,10 +55,8 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["press", "--save", "."], ("--save", "is a folder")),
         (["press", "--save="], ("a value is empty", "press --save=")),
         (["adapt", "--method", "dan", "--method", "dsan"], ("--method is given twice",)),
-        (
-            ["generate", "mb0i0", "--dry-run", "--name", "Prüfung ä", "--elastomer", "b1", "--out", "x"],
-            ("Prüfung ä", "accents"),
-        ),
+        (["render", "state.npz", "-o", "a.png", "--out=b.png"], ("--out is given twice",)),
+        (["generate", "mb0i0", "--dry-run", "--name", "ä", "--elastomer", "b1", "--out", "x"], ("accents",)),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(

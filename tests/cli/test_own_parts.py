@@ -1,6 +1,7 @@
 """Own gels, lights, profiles and methods from the command line."""
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -102,7 +103,7 @@ def test_what_is_not_given_is_the_named_domains() -> None:
     assert own.model_dump(include=same) == base.model_dump(include=same)
 
 
-@pytest.mark.parametrize(("name", "words"), [("mb0i0", "presets"), ("../x", "pattern"), ("x" * 200, "128")])
+@pytest.mark.parametrize(("name", "words"), [("mb0i0", "presets"), ("../x", "letters"), ("x" * 200, "128")])
 def test_a_name_that_means_something_else_is_refused(name: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         own_recipe(name, "smoke", elastomer=Elastomer.preset("b1"))
@@ -189,19 +190,18 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_code_that_changed_in_the_meantime_runs_as_it_is_now(pictures: Path) -> None:
-    registry.use_method("own.py:Half")
-    (pictures / "own.py").write_text(METHOD.replace("Half the", "Now half the"))
-    registry.use_method("own.py:Half")
-    assert registry.find_method("own.Half").__doc__ == "Now half the distance of the means."
+    for words in ("Half the", "Full the"):
+        (pictures / "own.py").write_text(METHOD.replace("Half the", words))
+        os.utime(pictures / "own.py", (1e9, 1e9))
+        registry.use_method("own.py:Half")
+    assert registry.find_method("own.Half").__doc__ == "Full the distance of the means."
 
 
 @pytest.mark.parametrize(
     ("method", "words"),
     [
-        (
-            "beside.py:Half",
-            "No module named 'own'); name a module or a .py file, and what it defines; files beside",
-        ),
+        ("beside.py:Half", "No module named 'own'); name a module or a .py file, and what it defines; files"),
+        ("own.py", "FILE.py:CLASS"),
         ("absent.py:Half", "absent.py could not be imported (FileNotFoundError"),
         ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),
         ("own.py:number", "number is not a class"),

@@ -92,6 +92,5 @@ def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
     more_presses = re.sub(r"presses = \d+", "presses = 9", SMALL_RANGES)
     (tmp_path / "small.toml").write_text(more_presses)
     main(command.split())
-    assert (
-        len(list((tmp_path / "out").glob("stream-state-*.pt"))) == 3
-    )  # though no epoch comes to the last of them
+    # Though no epoch comes to the last of them.
+    assert len(list((tmp_path / "out").glob("stream-state-*.pt"))) == 3
