@@ -5,7 +5,7 @@ and no shadows, and holds under the light that it was measured in. A fitted sens
 errors are others than those of a modelled light, so that both together often have less than either.
 
 The residual is what both leave around a ball, as the rim, a thinner line than a solved membrane's. Presses held out in
-three parts of eight sets gain 0.4 to 2.7 dB inside their contacts by it, and 0.9 to 5.2 around (results/sensors.md).
+three parts of seven sets gain 0.4 to 2.7 dB inside their contacts by it, and 0.9 to 5.2 around (results/sensors.md).
 """
 
 from dataclasses import dataclass
