@@ -36,7 +36,7 @@ from gelgap.sim import MembraneState
 SMALL = "--quality draft --size 64 48 --workers synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
-    r"^gelgap press ": "gelgap press --quality draft ",
+    r"^gelgap press (?!.*--quality)": "gelgap press --quality draft ",
     r"--domains 60 --frames 60": f"--domains 2 --frames 12 --ranges small.toml {SMALL}",
     r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
