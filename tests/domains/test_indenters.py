@@ -75,7 +75,7 @@ def test_one_indenter_is_configured_as_before() -> None:
     assert several.frames == 2 * recipe.frames
     assert type(several)(**several.configuration()).key == several.key
     residual = BallResidual(
-        diameter_mm=4.0, contact_radii_mm=(1.0, 1.2), coefficients=((0.0, 0.0, 1.0),) * 432
+        diameter_mm=4.0, contact_radii_mm=(1.0, 1.2), coefficients=((0.0, 0.0, 1.0),) * 486
     )
     fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4, "ball_residual": residual})
     assert recipe.model_copy(update={"sensor": fitted}).key == recipe.key
