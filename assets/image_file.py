@@ -17,8 +17,8 @@ from gelgap.assets.names import comma_list
 
 LOG = logging.getLogger(__name__)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-# What `gelgap calibrate` draws into a folder of pictures of presses is none of them.
-PRESSES_SHEET = "presses-sheet.png"
+# `gelgap calibrate` draws this sheet into a folder of presses, where it must not be read as one of them.
+SHEET = "presses-sheet.png"
 _UNREAD = re.compile(r"\.(heic|heif|avif|webp|gif|jp2|dng|raw|cr2|nef|arw)", re.IGNORECASE)
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
 MOST_PIXELS = 2**26
@@ -37,10 +37,10 @@ def visible_files(*folders: Path) -> list[Path]:
 
 
 def picture_files(files: list[Path]) -> list[Path]:
-    """Return the files that end as an image does, but `gelgap calibrate`'s sheet; of others, as HEIC, it is warned."""
+    """Return the files whose names end as an image's, without `SHEET`; warn of formats that are not read, as HEIC."""
     if unread := [path.name for path in files if _UNREAD.fullmatch(path.suffix)]:
         LOG.warning("pictures that are not read, unless you save them as PNG: %s", comma_list(unread))
-    return [path for path in files if path.suffix.lower() in SUFFIXES and path.name != PRESSES_SHEET]
+    return [path for path in files if path.suffix.lower() in SUFFIXES and path.name != SHEET]
 
 
 def read_image(path: Path | str) -> np.ndarray:

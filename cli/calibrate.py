@@ -179,7 +179,8 @@ class Calibrate(opt.Command):
 
     def _marked(self) -> Path:
         """Return the list of the presses that are found in a folder."""
-        from gelgap.domains.press_folder import SHEET, mark_presses
+        from gelgap.assets.image_file import SHEET
+        from gelgap.domains.press_folder import mark_presses
 
         if self.ball_mm is None or self.mm_per_px is None:
             raise ValueError(

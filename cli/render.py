@@ -62,9 +62,9 @@ class Render(opt.Command):
                 "by: gelgap press --save state.npz"
             ) from None
         if not state.converged:
-            LOG.warning("%s: did not converge: this is no picture of it", self.state)
+            LOG.warning("%s: the contact did not converge, so do not rely on this picture", self.state)
         sensor = render.Sensor.named(self.sensor)
-        light = render.Illumination.named(self.illumination or sensor.illumination or "i0")
+        light = sensor.lit_by(self.illumination)
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)

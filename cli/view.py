@@ -53,8 +53,7 @@ class View(opt.Command):
             page = MarksPage(folder, self.host, self.port)
         else:
             sensor, gel = render.Sensor.named(self.sensor), sim.Elastomer.named(self.elastomer)
-            light = render.Illumination.named(self.illumination or sensor.illumination or "i0")
-            page = Page(Configuration(gel, sensor, light), self.host, self.port)
+            page = Page(Configuration(gel, sensor, sensor.lit_by(self.illumination)), self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
             if not self.no_browser:

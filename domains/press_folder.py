@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from gelgap.assets.image_file import PRESSES_SHEET, SUFFIXES, picture_files, read_image, visible_files
+from gelgap.assets.image_file import SHEET, SUFFIXES, picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.calibration_presses import sphere_profiles
@@ -23,7 +23,7 @@ from gelgap.render.calibration.marks import FoundMark, find_marks
 from gelgap.render.calibration.pictures import ListedPress, PressList
 from gelgap.render.imaging import difference_picture
 
-LIST, SHEET = "presses.toml", PRESSES_SHEET
+LIST = "presses.toml"
 _NAMED_REFERENCE = re.compile(rf"(^|[^a-z])({'|'.join(REFERENCE_STEMS)}|no[-_ ]contact)($|[^a-z])", re.I)
 _SMALL_PX = (80, 60)
 # An imprint on what pictures have in common, as a share of the usual one: of a reference, of one where presses overlap,

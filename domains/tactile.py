@@ -92,7 +92,7 @@ class TactileSensor:
         noise_seed: int | None = None,
     ) -> None:
         self.elastomer, sensor = Elastomer.named(elastomer), Sensor.named(sensor)
-        light = Illumination.named(illumination or sensor.illumination or "i0")
+        light = sensor.lit_by(illumination)
         sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
         plan = LibraryPlan(self.elastomer, indenter or Sphere(), ranges, quality)
@@ -110,10 +110,7 @@ class TactileSensor:
         self._anchor_mm: NDArray[np.float64] | None = None
 
     def step(
-        self,
-        depth_mm: float,
-        shear_mm: Sequence[float] = (0.0, 0.0),
-        point_mm: Sequence[float] = (0.0, 0.0),
+        self, depth_mm: float, shear_mm: Sequence[float] = (0.0, 0.0), point_mm: Sequence[float] = (0.0, 0.0)
     ) -> Reading:
         """Move the indenter to `depth_mm` at `point_mm` + `shear_mm`; where there was no contact, down at `point_mm`.
 

@@ -247,6 +247,10 @@ class Sensor(PresetSettings):
             )
         return self
 
+    def lit_by(self, light: str | Path | Illumination | None) -> Illumination:
+        """Return a light by its name, by its file or as it is; by default the sensor's own, or i0."""
+        return Illumination.named(light or self.illumination or "i0")
+
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         """Return the sensor with the full path of the flat field that lies beside its file."""

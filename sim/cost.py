@@ -28,9 +28,9 @@ DEAR_S = {"draft": 30.0, "standard": 120.0, "fine": 300.0}
 # `_MOST_OF_LONGEST` times these, but not before `_FEWEST_FORECASTS`: nine of ten random bodies take no more.
 LONGEST_S = {"draft": 20.0, "standard": 120.0, "fine": 300.0}
 _LONGEST_FORECASTS, _MOST_OF_LONGEST, _FEWEST_FORECASTS = 2.5, 3.0, 1.5
-# A draft of a convex body that is forecast above 2.1 times these core seconds, and these for each waypoint, gets wider
-# cells, by a power of how many times these it is, at most `_WIDEST`: scenes 147 and 327 take 13 and 19 s for 72 and 46.
-# With fewer cells in the box around what is touched, times iterations, for each of these seconds it is not forecast.
+# A draft of a convex body may take `_DRAFT_S`, or `_DRAFT_WAYPOINT_S` for each waypoint. Forecast over 2.1 times that,
+# it gets cells wider by this power of the ratio, at most `_WIDEST`: scenes 147 and 327 take 13 and 19 s for 72 and 46.
+# With fewer than `_CELLS_PER_S` cells around what is touched, times iterations, for each second, no forecast is made.
 _DRAFT_S, _DRAFT_WAYPOINT_S, _WIDENED_POWER, _WIDEST, _CELLS_PER_S = 20.0, 5.0, 0.3, 2.0, 400.0
 # A change is worth naming if it leaves at most this share.
 _WORTHWHILE_SHARE = 0.75

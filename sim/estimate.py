@@ -63,8 +63,8 @@ _SHARP_EDGE = 0.0055
 _COVERED = 0.0175
 # By lubrication theory a wide contact is stiffer by (a/h)² times half to twice this for what ν is above the mesh's.
 _LAYER_RISE = 4.0
-# Half of how far shallow presses are off Hertz's force, over what E′ is above E; what the modulus of confined gel is
-# above, up to a tenth, under a contact whose radius is this many thicknesses.
+# MuJoCo's equivalent moduli are too stiff by E′ over E under a contact that is small beside its layer, and by up to a
+# tenth (their λ + 2μ) from a radius of `_CONFINED_THICKNESSES` on. The estimate takes `_EQUIVALENT_OFF` of that.
 _EQUIVALENT_OFF, _CONFINED_THICKNESSES = 0.6, 6.0
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02

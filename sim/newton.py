@@ -65,9 +65,9 @@ _POLISHING_ITERATIONS = 40
 
 # How many increments acceleration remembers, and which of their combinations are noise.
 _REMEMBERED, _SMALLEST_SINGULAR_VALUE = 5, 1e-6
-# Under high friction a vertex at the rim lets go by increments that grow by some 4 % each, in 30 to 70 iterations. A
-# drag without slip at `standard` takes 0.46 of the time, and converges to its end, if the state leaps on instead,
-# after so many increments in a row that grow and keep their direction (this cosine), by this share of the furthest.
+# Under high friction a vertex at the rim lets go by increments that each grow by 4 %. After `_DRIFTED` of them in a
+# row that keep their direction (cosine above `_ALONG`) the state leaps ahead, by `_LEAP_SHARE` of the most that
+# extrapolation may move: a drag without slip at `standard` takes 0.46 of the time, and converges to its end.
 _DRIFTED, _ALONG, _LEAP_SHARE = 3, 0.9, 0.5
 
 

@@ -125,9 +125,10 @@ def _depths_by_force(
     for end in (usual, deepest) if shallowest < usual < deepest else (deepest,):
         depths, force = _descent(end, elastomer, indenter, point_mm, quality)
         if force[-1] >= most_n:
-            # Force grows about as a power of the depth, which goes on below the first step.
+            # Force grows about as a power of the depth, a line in logarithms, which goes on far below the first step.
             logs = np.log([force[1:], depths[1:]])
-            by_power = PchipInterpolator(*np.insert(logs, 0, 101 * logs[:, 0] - 100 * logs[:, 1], axis=1))
+            far_below = logs[:, 0] - 100 * (logs[:, 1] - logs[:, 0])
+            by_power = PchipInterpolator(*np.insert(logs, 0, far_below, axis=1))
             return lambda force_n: round(min(math.exp(by_power(math.log(force_n))), deepest), 6)
     raise ValueError(
         f"{named}: must be at most {force[-1]:.4g} N, at {depths[-1]:.4g} mm, the largest depth that can be solved on "
@@ -136,11 +137,7 @@ def _depths_by_force(
 
 
 def _descent(
-    end_mm: float,
-    elastomer: Elastomer,
-    indenter: Indenter,
-    point_mm: tuple[float, float],
-    quality: str,
+    end_mm: float, elastomer: Elastomer, indenter: Indenter, point_mm: tuple[float, float], quality: str
 ) -> tuple[Floats, Floats]:
     """Return depths in ten steps, as far as they converge, and normal forces there, both from 0."""
     depths = np.append(0.0, np.round(np.linspace(indenter.shallowest_mm, end_mm, 11)[1:], 9))

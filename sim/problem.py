@@ -88,7 +88,7 @@ class MeshSize:
         return (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
 
     def widened(self, times: float) -> Self:
-        """Return the size of a mesh whose cells are so many times as wide; a and b are about as cells are wide."""
+        """Return this mesh size with cells `times` as wide; a and b of `stiffness` grow in proportion to them."""
         a, b, c = self.stiffness
         return replace(self, across=self.across / times, stiffness=(a * times, b * times, c))
 

@@ -47,8 +47,8 @@ class HeldOut:
     `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. Both are
     drawn by the fitted light and the share of the table of normals that predicts best, with what both leave around the
-    ball if that is kept. `unchanged` is the reference,
-    `table` the table alone, of the presses that were fitted; `picture` is the one as marked.
+    ball if that is kept. `unchanged` is the reference, `table` the table alone, of the presses that were fitted;
+    `picture` is the one as marked.
     """
 
     name: str

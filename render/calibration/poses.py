@@ -188,11 +188,11 @@ class PlacedPresses:
     def _plane_mm(self) -> np.ndarray:
         return self.camera.plane_of_picture_mm(self.size_px)
 
-    def seen(self, press: int, pose_mm: np.ndarray) -> SeenPoints:
-        """Return what all pixels see of a press."""
-        index, own = np.zeros(len(self._plane_mm), int), [self.seen_profiles[press]]
-        camera_mm = np.array(self.camera.position_mm)
-        return SeenPoints.pressed(self._plane_mm, index, pose_mm[None], own, camera_mm)
+    def seen(self, press: int, pose_mm: np.ndarray, pixels: np.ndarray | slice = np.s_[:]) -> SeenPoints:
+        """Return what all pixels, or some of them, see of a press."""
+        plane_mm, camera_mm = self._plane_mm[pixels], np.array(self.camera.position_mm)
+        index, own = np.zeros(len(plane_mm), int), [self.seen_profiles[press]]
+        return SeenPoints.pressed(plane_mm, index, pose_mm[None], own, camera_mm)
 
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
@@ -202,10 +202,8 @@ class PlacedPresses:
         base, factor = field.at(rows, columns, self.levels[press])
         share = np.clip(reach_mm + 1 - np.hypot(*(self._plane_mm - pose_mm[:2]).T), 0, 1)[:, None]
         near = share[:, 0] > 0
-        plane_mm, camera_mm = self._plane_mm[near], np.array(self.camera.position_mm)
-        index, profiles = np.zeros(len(plane_mm), int), [self.seen_profiles[press]]
-        pressed = SeenPoints.pressed(plane_mm, index, pose_mm[None], profiles, camera_mm)
-        lit = predicted_light(base[near], pressed.light(light), SeenPoints.flat(plane_mm).light(light))
+        pressed, flat = self.seen(press, pose_mm, near), SeenPoints.flat(self._plane_mm[near])
+        lit = predicted_light(base[near], pressed.light(light), flat.light(light))
         base[near] += share[near] * (lit - base[near])
         if self.dots is not None:
             base *= self.dots.reshape(-1, 3)

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.assets.image_file import picture_files, visible_files
+from gelgap.assets.image_file import SHEET, picture_files, visible_files
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import press_folder
-from gelgap.domains.press_folder import SHEET, mark_presses, stills_of
+from gelgap.domains.press_folder import mark_presses, stills_of
 from gelgap.render import Markers, MembraneRenderer, Sensor
 from gelgap.render.calibration import marks
 from gelgap.render.calibration.pictures import read_press_list

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.press_folder import SHEET, save_marks
+from gelgap.assets.image_file import SHEET
+from gelgap.domains.press_folder import save_marks
 from gelgap.render.calibration.pictures import ListedPress, PressList, read_press_list
 
 pytest.importorskip("viser")
