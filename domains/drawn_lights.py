@@ -75,14 +75,8 @@ def in_drawn_lights(
     path, recipes = recipe.path, []
     if recipe.interpolated:
         # Each serves its own contacts from the library of all: they are solved once.
-        whole = (
-            recipe.elastomer,
-            recipe.indenter,
-            recipe.solved_path(),
-            recipe.quality,
-            recipe.library_reach_mm,
-        )
-        if library := Contacts.interpolated(*whole).library:
+        pressed = recipe.elastomer, recipe.indenter, recipe.solved_path()
+        if library := Contacts.interpolated(*pressed, recipe.quality, recipe.library_reach_mm).library:
             ranges = library.ranges
             reach_mm = ranges.shallowest_mm, ranges.deepest_mm, ranges.travel_mm
             recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})

@@ -188,11 +188,8 @@ class DomainRecipe(Settings):
 
     def configuration(self) -> dict[str, Any]:
         """Return the recipe as plain JSON values; what only some domains have, only for these."""
-        absent = {
-            name: True
-            for name in ("further_indenters", "interpolated", "library_reach_mm")
-            if not getattr(self, name)
-        }
+        optional = ("further_indenters", "interpolated", "library_reach_mm")
+        absent = {name: True for name in optional if not getattr(self, name)}
         # What a sensor's fit keeps for predicting marked presses is nothing that a domain depends on.
         unused = {"marks_off", "ball_residual"} | (set() if self.sensor.table_share > 0 else {"normal_table"})
         return self.model_dump(mode="json", exclude=absent | {"sensor": unused})

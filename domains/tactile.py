@@ -52,7 +52,7 @@ class TactileSensor:
 
     Friction remembers where the indenter touched the gel: the anchor. A reading is that of a straight drag from the
     anchor to where the indenter is. Where that drag slides as a whole, the anchor is dragged along; where the indenter
-    leaves the gel, it is forgotten. So sticking, sliding at μ times the normal force, and the loop of a reversed drag
+    leaves the gel, it is forgotten. So sticking, sliding at μ times the pressure, and the loop of a reversed drag
     are honoured; what is not is the partial slip before a reversal, and what a press sideways and deeper at once leaves
     in the gel (docs/data.md has the errors on loops).
 
@@ -120,6 +120,8 @@ class TactileSensor:
             If the library does not reach the place: too deep, too far from the anchor without sliding, or too near
             the pad's edge. The sensor stays as it was.
         """
+        if np.shape(shear_mm) != (2,) or np.shape(point_mm) != (2,):
+            raise ValueError(f"shear_mm = {shear_mm}, point_mm = {point_mm}: each must be (x, y) in mm")
         place_mm = np.asarray(point_mm, float) + np.asarray(shear_mm, float)
         anchor_mm = np.array(point_mm, float) if self._anchor_mm is None else self._anchor_mm
         drag_mm, flags = place_mm - anchor_mm, []

@@ -87,7 +87,9 @@ class PressEnv(gymnasium.Env):
         wanted = np.clip(wanted, self._least_mm, self._most_mm)
         before_mm, refused = self._place_mm, ""
         try:
-            self._show(self.sensor.step(wanted[0], wanted[1:]))
+            self._show(self.sensor.step(wanted[0], point_mm=wanted[1:]))
+            if before_mm[0] == 0:
+                self._touched_mm, self._travel_mm = wanted[1:], 0.0
             self._place_mm = wanted
         except ValueError as error:
             refused = str(error)
@@ -97,10 +99,10 @@ class PressEnv(gymnasium.Env):
             reward, ended = -abs(-float(self._reading.force_n[2]) - self.target) / self.target, False
         else:
             slides = "slides" in self._reading.flags
-            gained_mm = np.hypot(*self._place_mm[1:]) - np.hypot(*before_mm[1:])
-            pressed = self._place_mm[0] > 0
-            reward = -1.0 if slides else (float(gained_mm) / self.target if pressed else 0.0)
-            ended = slides or bool(pressed and np.hypot(*self._place_mm[1:]) >= self.target)
+            travel_mm, before = float(np.hypot(*(self._place_mm[1:] - self._touched_mm))), self._travel_mm
+            self._travel_mm, pressed = travel_mm, self._place_mm[0] > 0
+            reward = -1.0 if slides else ((travel_mm - before) / self.target if pressed else 0.0)
+            ended = slides or bool(pressed and travel_mm >= self.target)
         return self._observation(), float(reward), ended, self._steps >= STEPS, info
 
     def render(self) -> np.ndarray:

@@ -49,6 +49,8 @@ class MarksPage:
         self._pictures = {file: read_image(folder / file) for file in files}
         self._reference = self._pictures[self._listed.reference]
         self.presses: dict[str, ListedPress] = {press.picture: press for press in self._listed.presses}
+        if len(self.presses) < len(self._listed.presses):
+            raise ValueError(f"{path}: a picture is listed twice, and this page holds one circle of each")
         self._left_out: set[str] = set()
         self._lock, self._closed, self._filling = threading.RLock(), threading.Event(), False
         self._server = start_server(host, port)
@@ -70,7 +72,7 @@ class MarksPage:
         self._message = gui.add_html("")
         scene.set_up_direction("-y")
         middle = (_WIDTH + _GAP) / 2
-        self._server.initial_camera.position = (middle, 0.0, -2.2 * _WIDTH)
+        self._server.initial_camera.position = (middle, 0.0, -1.4 * _WIDTH)
         self._server.initial_camera.look_at = (middle, 0.0, 0.0)
         size = {"render_width": _WIDTH, "render_height": height * self._unit, "cast_shadow": False}
         self._images = [

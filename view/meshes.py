@@ -1,6 +1,5 @@
 """The deformed membrane and the indenter as triangles with a picture on them, for the page and for files."""
 
-import io
 from pathlib import Path
 from typing import Literal
 
@@ -120,9 +119,7 @@ def glb(mesh: trimesh.Trimesh) -> bytes:
     material = shown.visual.material
     material.baseColorFactor = [*[round(255 * _SHADED_SHARE)] * 3, 255]
     material.emissiveTexture, material.emissiveFactor = material.baseColorTexture, [_SHINING_SHARE] * 3
-    buffer = io.BytesIO()
-    shown.export(buffer, file_type="glb", include_normals=True)
-    return buffer.getvalue()
+    return trimesh.Scene(shown).export(None, file_type="glb", include_normals=True)
 
 
 def _textured(

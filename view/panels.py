@@ -64,24 +64,19 @@ def _figures(shown: Shown, colours: str) -> dict[str, Any]:
     found = state.diagnostics
     # Adding zero turns −0.000 into 0.000.
     forces = zip("xyz", state.force_n.round(3) + 0.0, found.force_error_n, strict=True)
-    rows = [(f"F{axis}", f"{value:+.3f} ± {error:.3f} N") for axis, value, error in forces]
+    rows = [("indenter", shown.configuration.indenter.label)]
+    rows += [(f"F{axis}", f"{value:+.3f} ± {error:.3f} N") for axis, value, error in forces]
     rows.append(("contact radius", f"{state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm"))
     rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))
-    rows.append(("largest pressure", f"{shown.solved.pressure_mpa.max():.3f} MPa"))
+    rows.append(("largest pressure, of ½ mm", f"{shown.pressure_mpa.max():.3f} MPa"))
     verdict, colour = ("converged", _GOOD) if shown.exact else ("draft", _MIDDLING)
     if found.coarse:
         verdict, colour = f"{verdict}, but coarse: a finer quality is needed", _MIDDLING
     if not state.converged:
         verdict, colour = "FOLDED MEMBRANE" if found.folded else "NOT CONVERGED", _BAD
     stages = ", ".join(f"{name} {ms:.0f} ms" for name, ms in shown.stages_ms.items()) or "nothing to do"
-    return {
-        "rows": rows,
-        "verdict": verdict,
-        "colour": colour,
-        "source": shown.source,
-        "colours": colours,
-        "stages": stages,
-    }
+    said = {"verdict": verdict, "colour": colour, "source": shown.source, "colours": colours}
+    return said | {"rows": rows, "stages": stages}
 
 
 def narrow_html(shown: Shown, colours: str) -> str:
@@ -140,5 +135,7 @@ def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:
         ("markers", gap.markers),
         ("force of the source, N", forces[0]),
         ("force of the target, N", forces[1]),
+        ("physics of the source", source.source),
+        ("physics of the target", target.source),
     )
     return html_page("panel.html", rows=rows)

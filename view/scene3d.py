@@ -156,7 +156,7 @@ def _coloured(shown: Shown, colouring: Colouring) -> tuple[trimesh.Trimesh, str]
     if colouring == "displacement":
         values, unit = np.linalg.norm(state.displacement_mm, axis=-1), "mm"
     else:
-        values, unit = shown.solved.pressure_mpa, "MPa"
+        values, unit = shown.pressure_mpa, "MPa"
     most = float(values.max())
     meaning = f"{colouring}: 0 (violet) to {most:.3g} {unit} (yellow)"
     return coloured_mesh(state, values, most, _EVERY), meaning

@@ -98,8 +98,7 @@ class Solver:
                 self._on_answer(answer)
         with self._lock:
             lost, self._current, self._process = self._current, None, None
-            closed = self._closed
-        if lost is not None and not closed:
+        if lost is not None and not self._closed:
             self._on_answer(Failed(lost, "the solving process ended before it was done; ask once more"))
 
 
@@ -130,11 +129,10 @@ def answer_to(request: Request, connection: Connection) -> Answer:
     """
     try:
         if isinstance(request, LibraryRequest):
-            solves = request.plan.solved.solves
+            plan = request.plan.solved
         else:
             plan = plan_visit(request.elastomer, request.indenter, (request.pose,), request.quality)
-            solves = plan.solves
-        total = sum(solve.problem.load_steps for solve in solves)
+        total = sum(solve.problem.load_steps for solve in plan.solves)
         solutions, before = {}, 0
 
         def tell(done: int, _: int) -> None:
@@ -142,7 +140,7 @@ def answer_to(request: Request, connection: Connection) -> Answer:
                 raise Superseded
             connection.send(Progress(request, before + done, total))
 
-        for solve in solves:
+        for solve in plan.solves:
             solutions[solve.key] = solve.run(tell)
             before += solve.problem.load_steps
         if isinstance(request, LibraryRequest):

@@ -142,6 +142,9 @@ def _webdataset(frames: StoredFrames, folder: Path) -> None:
     for number, read in enumerate(frames.rest_pictures):
         (folder / (f"reference-{number}.png" if number else "reference.png")).write_bytes(encode_png(read()))
     columns = {name: values.tolist() for name, values in frames.columns.items()}
+    held = frames.shards[0].schema.names if isinstance(frames, GeneratedDomain) else ()
+    if left := sorted(set(held) - {*columns, "image"}):
+        LOG.warning("%s: tars hold no %s; huggingface does", frames.name, ", ".join(left))
     for split, indices in indices_by_part(frames).items():
         for start in range(0, len(indices), _SAMPLES_PER_TAR):
             path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
@@ -151,7 +154,9 @@ def _webdataset(frames: StoredFrames, folder: Path) -> None:
                     # JSON has no NaN, which alone differs from itself.
                     labels = {name: value if value == value else None for name, value in values}
                     picture = frames.encoded_picture(index)
-                    suffix = "png" if picture.startswith(b"\x89PNG") else "jpg"
+                    suffix = {b"\x89P": "png", b"\xff\xd8": "jpg"}.get(picture[:2])
+                    if suffix is None:
+                        suffix, picture = "png", encode_png(frames.picture(index))
                     for ending, data in ((suffix, picture), ("json", json.dumps(labels).encode())):
                         entry = tarfile.TarInfo(f"{int(labels['frame_id']):06d}.{ending}")
                         entry.size = len(data)

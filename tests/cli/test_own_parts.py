@@ -54,8 +54,12 @@ def test_an_own_gel_and_light_make_a_domain_with_a_name(
 
 
 def test_a_picture_without_contact_makes_domains_in_lights_like_its(
-    capsys: pytest.CaptureFixture[str], refused: Callable[..., str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("gelgap.domains.drawn_lights.CANDIDATES", 20)
     cv2.imwrite(str(tmp_path / "reference.png"), np.full((48, 64, 3), 120, np.uint8))
     (tmp_path / "lamp.toml").write_text(LAMP)
     command = f"generate wmb0i0 --lights-like {tmp_path}/reference.png --dry-run --path smoke".split()

@@ -75,15 +75,14 @@ def test_lights_like_a_picture_are_nearer_to_it(recipe, monkeypatch):
 
 
 def picture_in(recipe, light):
-    return (
-        MembraneRenderer(recipe.sensor, light, recipe.size_px, "draft").reference(markers=False).astype(float)
-    )
+    renderer = MembraneRenderer(recipe.sensor, light, recipe.size_px, "draft")
+    return renderer.reference(markers=False).astype(float)
 
 
 @pytest.mark.parametrize("size_px", [(20, 15), (80, 45)])
 def test_a_picture_that_is_too_small_or_of_other_proportions_is_refused(recipe, size_px):
     width, height = size_px
     with pytest.raises(
-        ValueError, match=f"has {width}×{height} px: it must have the proportions of .* 64×48 px"
+        ValueError, match=f"has {width}×{height} px: it must have the proportions of .* 64×48"
     ):
         in_drawn_lights(recipe, np.zeros((height, width, 3), np.uint8))

@@ -1,8 +1,10 @@
 """Exports are read back with the loader of their own format, with the same labels and pictures."""
 
 import json
+import tarfile
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -30,11 +32,14 @@ def test_the_papers_layout_is_read_back_with_the_same_labels(data: Path, tmp_pat
     assert len(list(unsplit.glob("*.jpg"))) == 26
 
 
-def test_webdataset_reads_pictures_and_labels_and_tars_are_the_same_each_time(data: Path, tmp_path: Path):
+def test_webdataset_reads_pictures_and_labels_and_tars_are_the_same_each_time(
+    data: Path, tmp_path: Path, caplog
+):
     import webdataset
 
     for name, split_by in {"one": None, "two": "given"}.items():
         export(data, "webdataset", tmp_path / name, split_by=split_by)
+    assert "mb0i0: tars hold no contact_mask, height_map, marker_px" in caplog.text
     files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
     for path in files:
         assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes()
@@ -124,16 +129,19 @@ def test_the_layout_of_generated_frames_refuses_other_data_in_one_sentence(data:
 
 def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: Path):
     (tmp_path / "own").mkdir()
-    for shade, name in enumerate(("a", "b", "rest-a", "rest-b")):
-        picture = encode_png(np.full((8, 8, 3), 10 * shade, np.uint8))
-        (tmp_path / "own" / f"{name}.png").write_bytes(picture)
-    rows = "image,reference,fx_n,fy_n,fz_n\na.png,rest-a.png,0,0,-1\nb.png,rest-b.png,0,0,-2\n"
+    for shade, name in enumerate(("a.png", "b.bmp", "rest-a.png", "rest-b.png")):
+        cv2.imwrite(str(tmp_path / "own" / name), np.full((8, 8, 3), 10 * shade, np.uint8))
+    rows = "image,reference,fx_n,fy_n,fz_n\na.png,rest-a.png,0,0,-1\nb.bmp,rest-b.png,0,0,-2\n"
     (tmp_path / "own" / "table.csv").write_text(rows)
     with pytest.raises(ValueError, match="own has several references, paper one"):
         export(tmp_path / "own", "paper", tmp_path / "paper")
     (folder,) = export(tmp_path / "own", "webdataset", tmp_path / "tars")
     levels = [read_image(folder / name).mean() for name in ("reference.png", "reference-1.png")]
     assert levels == [20, 30]
+    (tar,) = folder.glob("*.tar")
+    with tarfile.open(tar) as opened:
+        picture = opened.extractfile("000001.png").read()
+    assert picture == encode_png(np.full((8, 8, 3), 10, np.uint8))
 
 
 @pytest.mark.parametrize(

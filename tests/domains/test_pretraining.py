@@ -28,22 +28,17 @@ def test_domains_share_the_solves_of_their_press():
     assert len({recipe.illumination.model_dump_json() for recipe in recipes}) == 6
 
 
-def test_contacts_are_those_of_the_press_within_view():
+def test_contacts_are_those_of_the_press_within_view_and_their_depths_spread_the_force_evenly():
     for recipe in pretraining_recipes(4, 20, RANGES):
         first, *poses = recipe.path.poses
         assert (first.depth_mm, first.contact_class) == (0.0, 0)
         assert len({(pose.depth_mm, pose.radius_mm) for pose in poses}) == 2 * RANGES.depths
+        depths_mm = np.unique([pose.depth_mm for pose in recipe.path.poses])
+        np.testing.assert_allclose((depths_mm / depths_mm[-1]) ** 2, [0, 0.5, 1], atol=0.01)
         half_mm = np.array(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
         assert all((np.abs([pose.point_x_mm, pose.point_y_mm]) < half_mm).all() for pose in poses)
         low, high = RANGES.sphere_diameter_mm
         assert low <= recipe.indenter.diameter_mm <= high
-
-
-def test_depths_spread_the_force_evenly():
-    ranges = RANGES.model_copy(update={"depths": 4})
-    for recipe in pretraining_recipes(2, 20, ranges):
-        depths_mm = np.unique([pose.depth_mm for pose in recipe.path.poses])
-        np.testing.assert_allclose((depths_mm / depths_mm[-1]) ** 2, [0, 0.25, 0.5, 0.75, 1], atol=0.01)
 
 
 def test_a_range_whose_ends_are_equal_keeps_its_factor_and_the_draws_of_others():

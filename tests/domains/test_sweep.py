@@ -46,9 +46,8 @@ def test_variants_that_differ_in_light_alone_share_all_their_solves(tmp_path: Pa
     drives = [[led.drive for led in recipe.illumination.leds] for recipe in recipes]
     assert drives[1] == pytest.approx([0.7 * drive for drive in drives[0]])
     table = json.loads(write_sweep(variants, tmp_path / "out").read_text())
-    assert all(
-        domain["gap"]["colour_difference"] > 1 for name, domain in table["domains"].items() if name != "mb0i0"
-    )
+    _, *gaps = (domain["gap"] for domain in table["domains"].values())
+    assert min(gap["colour_difference"] for gap in gaps) > 1
 
 
 def test_a_latin_hypercube_fills_its_ranges_and_repeats(tmp_path: Path):
@@ -83,7 +82,7 @@ def test_one_at_a_time_changes_one_at_a_time(tmp_path: Path):
         (
             "elastomer.young_modulus_mpa",
             "elastomer.stiffness",
-            r"'stiffness' does not exist; there is young_modulus",
+            r"'stiffness' does not exist; there is young_",
         ),
         ("elastomer.young_modulus_mpa", "illumination.leds.9.drive", r"'9' does not exist; there is \*, 0…"),
         ("[0.5, 2.0]", "[-1.0]", r"young_modulus_mpa = -0.7.*must lie in"),
@@ -116,23 +115,16 @@ def test_leds_and_coat_are_drawn_around_the_base_and_repeat(tmp_path: Path):
 def test_the_gap_says_how_markers_differ():
     sensor = Sensor.preset("paper")
     (base,) = make_recipes(["mb0i0"], "smoke", size_px=(80, 60))
-    looks = {
-        "equal": sensor.markers,
-        "changed": Markers(pitch_mm=(1.1, 1.3)),
-        "removed": Markers(layout="none"),
-    }
-    for expected, markers in looks.items():
+    changed, removed = Markers(pitch_mm=(1.1, 1.3)), Markers(layout="none")
+    for expected, markers in {"equal": sensor.markers, "changed": changed, "removed": removed}.items():
         own = sensor.model_copy(update={"markers": markers})
         (other,) = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), sensor=own)
         assert domain_gap(base, other).markers == expected
-        assert any("no markers" in note for note in unseen_differences(base, other)) == (
-            expected == "removed"
-        )
+        said = any("no markers" in note for note in unseen_differences(base, other))
+        assert said == (expected == "removed")
 
 
 def test_markers_lie_on_the_pad():
     sensor = Sensor.preset("paper").model_copy(update={"markers": Markers(positions_mm=((0, 0), (13.0, 0)))})
-    with pytest.raises(
-        ValueError, match=r"markers.positions_mm.1 = \(13.0, 0.0\): .* on the pad .* 24 × 20 mm"
-    ):
+    with pytest.raises(ValueError, match=r"positions_mm.1 = \(13.0, 0.0\): .* on the pad .* 24 × 20 mm"):
         make_recipes(["mb0i0"], "smoke", sensor=sensor)

@@ -61,6 +61,10 @@ def test_a_place_that_is_not_reached_leaves_the_sensor_as_it_was(sensor: Tactile
     before = sensor.step(0.08, (0.02, 0.0)).force_n
     with pytest.raises(ValueError, match=r"depth_mm = 0\.3: the library ends at 0\.1 mm"):
         sensor.step(0.3, (0.02, 0.0))
+    with pytest.raises(
+        ValueError, match=r"shear_mm = 0\.02, point_mm = \(0\.0, 0\.0\): each must be \(x, y\)"
+    ):
+        sensor.step(0.08, 0.02)
     np.testing.assert_array_equal(sensor.step(0.08, (0.02, 0.0)).force_n, before)
 
 
@@ -84,7 +88,13 @@ def test_each_task_rewards_what_it_is_for(sensor: TactileSensor) -> None:
     hold.reset(seed=1)
     rewards = [hold.step(np.array([1.0, 0, 0]))[1] for _ in range(2)]
     assert rewards[0] < 0
+    hold.reset(seed=1)
+    hold.step(np.array([0.0, 1.0, 0]))  # through the air
+    assert abs(hold.step(np.array([1.0, 0, 0]))[-1]["force_n"][0]) < 1e-4
     slide = PressEnv(sensor, "slide", targets=(0.5, 0.5))
+    slide.reset(seed=1)
+    flown = [slide.step(np.array([depth, 1.0, 0]))[1:3] for depth in [0.0] * 11 + [1.0]]
+    assert flown[-1] == (0.0, False)
     slide.reset(seed=1)
     slide.step(np.array([1.0, 0, 0]))
     steps = [slide.step(np.array([0.0, 1.0, 0])) for _ in range(4)]

@@ -58,6 +58,9 @@ def test_a_folder_without_marked_presses_is_refused(folder: Path) -> None:
     from gelgap.view.marks import MarksPage
 
     text = (folder / "presses.toml").read_text()
+    (folder / "presses.toml").write_text(text.replace("b.png", "a.png"))
+    with pytest.raises(ValueError, match="a picture is listed twice"):
+        MarksPage(folder, "127.0.0.1", 0)
     (folder / "presses.toml").write_text(re.sub(r"radius_px = .*", "depth_mm = 0.3", text))
     with pytest.raises(ValueError, match=r"press 1 \(a\.png\) must have picture, center_px and radius_px"):
         MarksPage(folder, "127.0.0.1", 0)

@@ -155,6 +155,7 @@ def test_a_source_is_set_beside_the_target(page: Any) -> None:
     page.do(page._keep_source)
     page.controls.elastomer.value = "e08"
     settled(page, lambda: ">2<" in page._compare.figures.content)
+    assert page._compare.figures.content.count("interpolated between poses solved at draft") == 2
     page.controls.illumination.value = "i2"
     settled(page, lambda: ">0.00<" not in page._compare.figures.content)
     page.do(page._swap)
@@ -185,6 +186,7 @@ def test_a_narrow_window_has_picture_and_force_above_the_knobs_and_no_negative_z
     assert "@media (min-width" in text
     assert "data:image/jpeg;base64," in text
     assert "-0.000" not in text
+    assert "sphere 3 mm" in text
     assert "Fz" in text
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.cli.main import main
 from gelgap.domains import domain_gap, load_recipes
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer
@@ -44,15 +43,6 @@ def test_a_recipe_holds_both_domains(start: Configuration, target: Configuration
     assert other.illumination == target.illumination
     assert source.sensor == start.sensor
     assert {source.quality, other.quality} == {"draft"}
-
-
-def test_generate_takes_the_recipe(
-    start: Configuration, target: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "gap.toml"
-    file.write_bytes(recipe_toml(start, target).replace(b'"cpu"', b'"smoke"'))
-    main(["generate", str(file), "--out", str(tmp_path / "data"), "--dry-run"])
-    assert "frames" in capsys.readouterr().out
 
 
 def test_the_gap_on_the_page_is_that_of_the_domains(
