@@ -134,9 +134,8 @@ def sensor_noise(linear: np.ndarray, camera: Camera, rng: np.random.Generator) -
     out = np.empty(linear.shape, np.float32)
     full_well, read_noise = np.float32(camera.full_well_electrons), np.float32(camera.read_noise_electrons)
     # 64 bits at a time give the same numbers sooner.
-    draws = (
-        rng.integers(0, 1 << 64, -(-linear.size // 4), dtype=np.uint64).astype("<u8", copy=False).view("<u2")
-    )
+    bits = rng.integers(0, 1 << 64, -(-linear.size // 4), dtype=np.uint64)
+    draws = bits.astype("<u8", copy=False).view("<u2")
     flat = np.ascontiguousarray(linear, np.float32).reshape(-1)
     _add_noise(flat, draws, _normal_quantiles(), full_well, read_noise, out.reshape(-1))
     return out

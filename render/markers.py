@@ -59,13 +59,9 @@ def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> tuple[np.ndarray,
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _one_more(values, out):
     """Copy (h, w) values to (h + 1, w + 1), continued linearly."""
-    height, width = values.shape
-    for j in range(height):
-        for i in range(width):
-            out[j, i] = values[j, i]
-        out[j, width] = out[j, width - 1] + (out[j, width - 1] - out[j, width - 2])
-    for i in range(width):
-        out[height, i] = out[height - 1, i] + (out[height - 1, i] - out[height - 2, i])
+    out[:-1, :-1] = values
+    out[:-1, -1] = out[:-1, -2] + (out[:-1, -2] - out[:-1, -3])
+    out[-1] = out[-2] + (out[-2] - out[-3])
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)

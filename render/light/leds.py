@@ -28,9 +28,8 @@ def node_count(half_mm: float, distance_mm: float) -> int:
     Seen from a distance d the light of an axis of half length h has poles at ± i d/h, and the error of n nodes falls as
     exp(−2 n asinh(d/h)) (Trefethen, Approximation Theory and Approximation Practice, theorem 19.3).
     """
-    if half_mm == 0:
-        return 1
-    return min(max(ceil(_NODES / np.arcsinh(distance_mm / half_mm)), 2), _MOST_NODES)
+    count = ceil(_NODES / np.arcsinh(distance_mm / max(half_mm, 1e-9)))
+    return min(max(count, 2 if half_mm else 1), _MOST_NODES)
 
 
 def _slices(kind: LedKind, count: int) -> np.ndarray:
