@@ -225,8 +225,8 @@ def test_the_cameras_blur_is_found(tmp_path, blur_px):
         update={"camera": sensor.camera.model_copy(update={"point_spread_px": blur_px})}
     )
     renderer, rng = MembraneRenderer(blurred, sensor.illumination, SIZE_PX), np.random.default_rng(3)
-    shots = [renderer.picture(*sphere_dent(0.6, point_mm=point), rng=rng) for point in POINTS]
-    presses, reference = pressed(shots, depth_mm=0.6), renderer.reference(rng=rng)
+    shots = [renderer.picture(*sphere_dent(0.75, point_mm=point), rng=rng) for point in POINTS]
+    presses, reference = pressed(shots, depth_mm=0.75), renderer.reference(rng=rng)
     start = sensor.model_copy(update={"illumination": Illumination.preset("i0")})
     placed = place_presses(start.camera, reference, presses, profiles(None, None))
     # Few presses do not tell blur from scattered light that depends on the place: this light does not.
