@@ -244,9 +244,6 @@ def _multiply(linear, ratio, excess, offset, offset_excess, share, gain):
         for i in range(width):
             for channel in range(3):
                 factor = ratio[j, i, channel] + share * excess[j, i, channel]
-                light = (
-                    linear[j, i, channel] * factor
-                    + offset[j, i, channel]
-                    + share * offset_excess[j, i, channel]
-                )
+                added = offset[j, i, channel] + share * offset_excess[j, i, channel]
+                light = linear[j, i, channel] * factor + added
                 linear[j, i, channel] = max(light, np.float32(0)) * gain[channel]

@@ -59,13 +59,9 @@ def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> tuple[np.ndarray,
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _one_more(values, out):
     """Copy (h, w) values to (h + 1, w + 1), continued linearly."""
-    height, width = values.shape
-    for j in range(height):
-        for i in range(width):
-            out[j, i] = values[j, i]
-        out[j, width] = out[j, width - 1] + (out[j, width - 1] - out[j, width - 2])
-    for i in range(width):
-        out[height, i] = out[height - 1, i] + (out[height - 1, i] - out[height - 2, i])
+    out[:-1, :-1] = values
+    out[:-1, -1] = out[:-1, -2] + (out[:-1, -2] - out[:-1, -3])
+    out[-1] = out[-2] + (out[-2] - out[-3])
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
@@ -73,17 +69,22 @@ def _round_coverage(x, y, x_below, y_below, from_x, from_y, radius, reach, cover
     """Fill how much of each pixel of a row the nearest marker covers; `from_x` and `from_y` lead there from its centre.
 
     Beyond `reach`, as where the next pixel sees no membrane, it covers nothing. Rows of coordinates have one pixel
-    more. Without a branch, so that the loop runs in vector registers.
+    more. Without a branch, so that the loop runs in vector registers. A ramp of one pixel at a disc's edge adds π/12 to
+    its area, a third at 1 px across: so its disc has r² − 1/12 for r², and below r² = 1/3 it is a cone that is lower.
     """
     half, zero, one, tiny = np.float32(0.5), np.float32(0), np.float32(1), np.float32(1e-9)
     for i in range(len(coverage)):
-        along_row = from_x[i] * (x[i + 1] - x[i]) + from_y[i] * (y[i + 1] - y[i])
-        along_column = from_x[i] * (x_below[i] - x[i]) + from_y[i] * (y_below[i] - y[i])
-        distance = np.sqrt(from_x[i] * from_x[i] + from_y[i] * from_y[i]) + tiny
-        pixel = np.sqrt(along_row * along_row + along_column * along_column) / distance + tiny
-        covered = half + (radius - distance) / pixel if distance < reach else zero
+        away_x, away_y = from_x[i] + np.float32(1e-6), from_y[i]  # the very centre has a direction, too
+        along_row = away_x * (x[i + 1] - x[i]) + away_y * (y[i + 1] - y[i])
+        along_column = away_x * (x_below[i] - x[i]) + away_y * (y_below[i] - y[i])
+        distance = np.sqrt(away_x * away_x + away_y * away_y) + tiny
+        per_pixel = distance / (np.sqrt(along_row * along_row + along_column * along_column) + tiny)
+        area = (radius * per_pixel) ** 2
+        inner2, peak = area - np.float32(1 / 12), np.float32(3) * area
+        inner = np.sqrt(inner2 if inner2 > half * half else half * half)
+        covered = half + inner - distance * per_pixel if distance < reach else zero
         covered = covered if covered > zero else zero
-        coverage[i] = covered if covered < one else one
+        coverage[i] = (covered if covered < one else one) * (peak if peak < one else one)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
@@ -94,8 +95,8 @@ def _square_coverage(x, y, x_below, y_below, from_x, from_y, half_side, reach, c
         away_x, away_y = abs(from_x[i]), abs(from_y[i])
         wide = np.sqrt((x[i + 1] - x[i]) ** 2 + (x_below[i] - x[i]) ** 2) + tiny
         high = np.sqrt((y[i + 1] - y[i]) ** 2 + (y_below[i] - y[i]) ** 2) + tiny
-        across = min(max(half + (half_side - away_x) / wide, zero), one)
-        along = min(max(half + (half_side - away_y) / high, zero), one)
+        across = max(min(half + (half_side - away_x) / wide, half_side / wide / half, one), zero)
+        along = max(min(half + (half_side - away_y) / high, half_side / high / half, one), zero)
         coverage[i] = across * along if max(away_x, away_y) < reach else zero
 
 

@@ -117,7 +117,7 @@ class MembraneRenderer:
 
     def _set_leds(self, illumination: Illumination) -> None:
         """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
-        self._leds = led_samples(illumination.emitters(self.sensor.camera), self._shadows)
+        self._leds = led_samples(illumination.emitters(self.sensor.camera), self._shadows, self.lattice)
         flat = shared_surface(self.lattice, self._flat, "reference")
         light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
@@ -149,7 +149,12 @@ class MembraneRenderer:
         return linear
 
     def _surface(self, membrane: Membrane) -> Surface:
-        return shared_surface(self.lattice, membrane.displacement_on(self.lattice), membrane.name)
+        surface = shared_surface(self.lattice, membrane.displacement_on(self.lattice), membrane.name)
+        if (top_mm := surface.height_mm.max()) > (most_mm := -0.9 * self.sensor.camera.position_mm[2]):
+            raise ValueError(
+                f"{membrane.name}: the membrane rises by {top_mm:.3g} mm; the camera sees it up to {most_mm:.3g} mm"
+            )
+        return surface
 
     def _geometry(self, surface: Surface) -> np.ndarray:
         positions = np.ascontiguousarray(surface.positions_mm[::RASTER_STEP, ::RASTER_STEP])

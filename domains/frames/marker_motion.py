@@ -55,7 +55,9 @@ class MarkerTracker:
         self.rest_mm = self._in_mm(self._rest_px)
 
     def displacement_mm(self, picture: np.ndarray) -> np.ndarray:
-        """Return (n, 2): how far each marker has moved; NaN for one that is not seen, or not told from others.
+        """Return (n, 2): how far each marker seems to have moved; NaN for one not seen, or not told from others.
+
+        One that sinks by d, r off the axis of a camera H away, seems to move outwards by r d/(H − d), up to 0.2 mm.
 
         Raises
         ------

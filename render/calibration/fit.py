@@ -213,9 +213,8 @@ class LightFit:
         if self.nearness_range is not None:
             blurred = lambda value: self.camera.model_copy(update={"point_spread_px": float(value)})  # noqa: E731
             tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, MOST_BLUR_PX), 1.0)
-            kept = next((own for own in tried if own.camera == self.camera), None) or self._seen_by(
-                self.camera
-            )
+            same = [own for own in tried if own.camera == self.camera]
+            kept = same[0] if same else self._seen_by(self.camera)
             below = (1 - _LEAST_GAIN) * kept.rms_code_values
             self._become([own for own in tried if own.rms_code_values < below] or [kept])
 

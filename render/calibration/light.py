@@ -10,12 +10,11 @@ import numba
 import numpy as np
 
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
-from gelgap.render.light.leds import Led
+from gelgap.render.light.irradiance import GAUSS_NODES, GAUSS_WEIGHTS
+from gelgap.render.light.leds import Led, node_count
 from gelgap.render.light.scattered import HARMONICS, PLACES, harmonics, places
 
 LOGARITHMIC = ("distance", "height", "length", "tall")
-STRIPS = 3
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(STRIPS)
 LEAST_SHARE = 0.5
 _DARKEST = 1e-6  # linear
 _KEPT_COLUMNS = 60
@@ -72,22 +71,23 @@ class Bars:
         values = {f: np.exp(v) if f in LOGARITHMIC else v for f, v in zip(fields, parts, strict=True)}
         return replace(self, **values)._bounded()
 
-    def strips(self) -> np.ndarray:
-        """Return (leds, strips, 10): low end, high end, normal and weight of upright strips.
+    def strips(self) -> list[np.ndarray]:
+        """Return (strips, 10) of each bar: low end, high end, normal and weight of as many as the renderer has.
 
         Weights are such that a bar gives a flat point that faces it, as far away as the axis, the irradiance 1.
         """
-        out = np.zeros((len(self.azimuth), STRIPS, 10))
+        out = []
         for led, azimuth in enumerate(self.azimuth):
             outwards = np.array([np.cos(azimuth), np.sin(azimuth), 0])
             level = np.array([outwards[1], -outwards[0], 0])
-            feet = outwards * self.distance[led] + level * (_NODES * self.length[led] / 2)[:, None]
-            half = self.tall[led] / 2
-            out[led, :, :3] = feet - [0, 0, max(self.height[led] - half, 0.02)]
-            out[led, :, 3:6] = feet - [0, 0, self.height[led] + half]
-            out[led, :, 6:9] = -outwards
-            out[led, :, 9] = _WEIGHTS / 2
-        out[:, :, 9] *= (self.distance**2 + self.height**2)[:, None]
+            low = max(self.height[led] - self.tall[led] / 2, 0.02)
+            count = node_count(self.length[led] / 2, np.hypot(self.distance[led] - self.nearest, low))
+            places, weights = np.polynomial.legendre.leggauss(count)
+            feet = outwards * self.distance[led] + level * (places * self.length[led] / 2)[:, None]
+            high = self.height[led] + self.tall[led] / 2
+            weights = weights / 2 * (self.distance[led] ** 2 + self.height[led] ** 2)
+            ends = feet - [0, 0, low], feet - [0, 0, high]
+            out.append(np.column_stack([*ends, np.tile(-outwards, (count, 1)), weights]))
         return out
 
     def leds(self, names: Sequence[str], intensities: np.ndarray, albedo: np.ndarray, exposure: float):
@@ -344,9 +344,9 @@ def _bar_light(positions, normals, index, presses, z, strips, shadows, out):
                 s0, s1 = _clipped(-az - rise * distance, -bz - rise * distance, s0, s1)
                 if s1 <= s0:
                     continue
-            for g in range(2):
-                w = s0 + (s1 - s0) * (0.2113248654 if g == 0 else 0.7886751346)
-                dz = az + w * (bz - az)
+            for g in range(3):
+                dz = az + (s0 + (s1 - s0) * GAUSS_NODES[g]) * (bz - az)
                 r2 = ax * ax + ay * ay + dz * dz
-                total += 0.5 * (s1 - s0) * strips[j, 9] * max(level + nz * dz, 0.0) * away / (r2 * r2)
+                weight = GAUSS_WEIGHTS[g] * (s1 - s0) * strips[j, 9]
+                total += weight * max(level + nz * dz, 0.0) * away / (r2 * r2)
         out[i] = total

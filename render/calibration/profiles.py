@@ -38,9 +38,7 @@ class PressProfiles:
     sphere_radius_mm: float
     depths_mm: np.ndarray = field(repr=False)  # (depths,)
     z_mm: np.ndarray = field(repr=False)  # (depths, radii)
-    edges_mm: np.ndarray = field(
-        repr=False
-    )  # (solves + 1, 2): depth, distance within which the membrane is the sphere
+    edges_mm: np.ndarray = field(repr=False)  # (solves + 1, 2): depth, how far out the membrane is the sphere
     contact_radii_mm: np.ndarray = field(repr=False)  # (solves + 1, 2): depth, radius of the contact
     softness_mm: float = 0.0
 

@@ -74,9 +74,8 @@ def _through_interface(cosine: float, roughness: float, eta: float) -> tuple[flo
     transmitted = m * (facing / eta - transmitted_cosine) - incident / eta
     out_up = np.where(reflected[2] > 0, _smith_g1(np.clip(reflected[2], 1e-6, 1), roughness), 0)
     out_down = np.where(transmitted[2] < 0, _smith_g1(np.clip(-transmitted[2], 1e-6, 1), roughness), 0)
-    return float((visible * reflectance * out_up).sum()), float(
-        (visible * (1 - reflectance) * out_down).sum()
-    )
+    shares = visible * reflectance * out_up, visible * (1 - reflectance) * out_down
+    return float(shares[0].sum()), float(shares[1].sum())
 
 
 @lru_cache(maxsize=16)
@@ -193,16 +192,17 @@ def _open_gloss(vertex, camera_mm, coat, nodes, led):
         return zero, zero
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
-    node_mm, normal, area_mm2 = nodes
+    points, first, normal = nodes
+    ax, ay, az = normal[led]
     shadowing_out = shadowing(view.cosine, coat) / (np.float32(4) * view.cosine)
     base, glossy = zero, zero
-    for k in range(node_mm.shape[2]):
-        qx, qy, qz = node_mm[led, 0, k] - px, node_mm[led, 1, k] - py, node_mm[led, 2, k] - pz
+    for k in range(first[led], first[led + 1]):
+        qx, qy, qz = points[0, k] - px, points[1, k] - py, points[2, k] - pz
         r2 = qx * qx + qy * qy + qz * qz
         inverse = np.float32(1) / np.sqrt(r2)
         cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
-        away = -(normal[led, 0, k] * qx + normal[led, 1, k] * qy + normal[led, 2, k] * qz) * inverse
-        solid_angle = area_mm2[led, k] * (away if away > zero else zero) / r2
+        away = -(ax * qx + ay * qy + az * qz) * inverse
+        solid_angle = points[3, k] * (away if away > zero else zero) / r2
         cosine_in = cosine_in if cosine_in > zero else zero
         in_dot_out = (qx * view.x + qy * view.y + qz * view.z) * inverse
         base += solid_angle * cosine_in * transmitted_share(cosine_in, coat)

@@ -45,7 +45,7 @@ def _open_irradiance(surface, leds, out, lowest):
     """
     zero = np.float32(0)
     rows, columns = surface.changed.shape
-    node_mm, led_normal, area_mm2 = leds.nodes
+    points, first, normal = leds.nodes
     px, py, pz, nx, ny, nz = np.empty((6, columns), np.float32)
     total, least = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for j in range(rows):
@@ -56,10 +56,9 @@ def _open_irradiance(surface, leds, out, lowest):
             nx[i], ny[i], nz[i] = surface.normals[j, i]
         for led in range(len(leds.is_point)):
             total[:], least[:] = zero, np.float32(1e9)
-            for k in range(1 if leds.is_point[led] else node_mm.shape[2]):
-                x, y, z = node_mm[led, 0, k], node_mm[led, 1, k], node_mm[led, 2, k]
-                ax, ay, az = led_normal[led, 0, k], led_normal[led, 1, k], led_normal[led, 2, k]
-                area = area_mm2[led, k]
+            ax, ay, az = normal[led]
+            for k in range(first[led], first[led + 1]):
+                x, y, z, area = points[:, k]
                 for i in range(columns):
                     qx, qy, qz = x - px[i], y - py[i], z - pz[i]
                     r2 = qx * qx + qy * qy + qz * qz

@@ -1,7 +1,6 @@
 """LEDs: where each is and what shines, those of a sensor as an illumination, and LEDs cut up for integration."""
 
 from dataclasses import dataclass
-from itertools import product
 from math import ceil
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
@@ -13,12 +12,24 @@ from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import Scattered
 from gelgap.render.light.spectra import Spectrum, camera_rgb
+from gelgap.render.surface import Lattice
 
 Vector = tuple[float, float, float]
 Length = Annotated[float, Field(gt=0, le=200)]
 LedKind = Literal["bar", "disc", "point"]
-# Nodes of an LED in full view: along its level axis and across.
-OPEN_NODES = (8, 2)
+# By the first, light of LEDs up to 60 mm long, also beside the gel, is off by 0.04 % in the mean and 1.1 % at worst;
+# the second is the most along an axis.
+_NODES, _MOST_NODES = 3.5, 40
+
+
+def node_count(half_mm: float, distance_mm: float) -> int:
+    """Return how many nodes of Gauss' rule the light of an LED takes along an axis, given the nearest gel.
+
+    Seen from a distance d the light of an axis of half length h has poles at ± i d/h, and the error of n nodes falls as
+    exp(−2 n asinh(d/h)) (Trefethen, Approximation Theory and Approximation Practice, theorem 19.3).
+    """
+    count = ceil(_NODES / np.arcsinh(distance_mm / max(half_mm, 1e-9)))
+    return min(max(count, 2 if half_mm else 1), _MOST_NODES)
 
 
 def _slices(kind: LedKind, count: int) -> np.ndarray:
@@ -180,11 +191,11 @@ STRIP = np.dtype(
 
 
 class Nodes(NamedTuple):
-    """The points that stand for each LED in full view, float32; a point light has only its first node."""
+    """The points that stand for LEDs in full view, float32; LED k owns those from first[k] up to first[k + 1]."""
 
-    position_mm: np.ndarray  # (leds, 3, nodes): nodes lie side by side for vector registers
-    normal: np.ndarray  # (leds, 3, nodes)
-    area_mm2: np.ndarray  # (leds, nodes)
+    points: np.ndarray  # (4, nodes): x, y, z in mm and area in mm²
+    first: np.ndarray  # (leds + 1,) int32
+    normal: np.ndarray  # (leds, 3)
 
 
 class Outlines(NamedTuple):
@@ -210,9 +221,12 @@ class LedSamples(NamedTuple):
         return int(np.diff(self.first_strip).max())
 
 
-def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
-    """Return the strips, nodes and outlines of emitters."""
+def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail, lattice: Lattice) -> LedSamples:
+    """Return the strips, nodes and outlines of emitters over a membrane."""
     strips = [_strips(emitter, detail) for emitter in emitters]
+    nodes = [_nodes(emitter, lattice) for emitter in emitters]
+    first = np.cumsum([0] + [own.shape[1] for own in nodes]).astype(np.int32)
+    normal = np.array([emitter.normal for emitter in emitters], np.float32)
     left = [(led.center_mm - led.half_u_mm)[:2] for led in emitters]
     right = [(led.center_mm + led.half_u_mm)[:2] for led in emitters]
     lowest = [-led.center_mm[2] - abs(led.half_u_mm[2]) - abs(led.half_v_mm[2]) for led in emitters]
@@ -220,7 +234,7 @@ def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSampl
         is_point=np.array([emitter.kind == "point" for emitter in emitters]),
         strips=np.concatenate(strips),
         first_strip=np.cumsum([0] + [len(own) for own in strips]).astype(np.int32),
-        nodes=_nodes(emitters),
+        nodes=Nodes(np.concatenate(nodes, axis=1, dtype=np.float32), first, normal),
         outlines=Outlines(*(np.array(values, np.float32) for values in (left, right, lowest))),
     )
 
@@ -236,16 +250,17 @@ def _strips(emitter: Emitter, detail: ShadowDetail) -> np.ndarray:
     return np.array(strips, STRIP)
 
 
-def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:
-    positions = np.empty((len(emitters), 3, OPEN_NODES[0] * OPEN_NODES[1]))
-    normals = np.empty_like(positions)
-    areas = np.zeros((len(emitters), positions.shape[2]))
-    across = list(zip(*np.polynomial.legendre.leggauss(OPEN_NODES[1]), strict=True))
-    for led, emitter in enumerate(emitters):
-        positions[led], normals[led] = emitter.center_mm[:, None], emitter.normal[:, None]
-        slices = _slices(emitter.kind, OPEN_NODES[0])
-        for node, ((place, weight, chord), (v, v_weight)) in enumerate(product(slices, across)):
-            half = chord * emitter.half_v_mm
-            positions[led, :, node] += place * emitter.half_u_mm + v * half
-            areas[led, node] = weight * np.linalg.norm(emitter.half_u_mm) * v_weight * np.linalg.norm(half)
-    return Nodes(*(values.astype(np.float32) for values in (positions, normals, areas)))
+def _nodes(emitter: Emitter, lattice: Lattice) -> np.ndarray:
+    """Return (4, nodes): x, y, z and area of what stands for an LED in full view of an undeformed membrane."""
+    half_u, half_v = emitter.half_u_mm, emitter.half_v_mm
+    places = np.linspace(-1, 1, 9)[:, None]
+    face = emitter.center_mm + places[:, None] * half_u + places * half_v
+    beside = np.maximum(np.abs(face[..., :2]) + np.array([lattice.x0_mm, lattice.y0_mm]), 0)
+    distance_mm = np.sqrt((beside**2).sum(axis=-1) + face[..., 2] ** 2).min()
+    length, height = np.linalg.norm(half_u), np.linalg.norm(half_v)
+    places, weights, chords = _slices(emitter.kind, node_count(length, distance_mm)).T[..., None]
+    across, own_weights = np.polynomial.legendre.leggauss(node_count(height, distance_mm))
+    positions = emitter.center_mm[:, None, None] + np.multiply.outer(half_u, places)
+    positions = positions + np.multiply.outer(half_v, chords * across)
+    areas = length * height * weights * chords * own_weights
+    return np.vstack([positions.reshape(3, -1), areas.ravel()])

@@ -41,9 +41,7 @@ class PeakSpectrum(Settings):
 class TableSpectrum(Settings):
     """A measured spectrum; between its wavelengths it is interpolated linearly, outside it is 0."""
 
-    wavelength_nm: tuple[float, ...] = Field(
-        min_length=2, repr=False, description="increasing wavelengths, nm"
-    )
+    wavelength_nm: tuple[float, ...] = Field(min_length=2, repr=False, description="nm, increasing")
     power: tuple[Annotated[float, Field(ge=0)], ...] = Field(
         repr=False, min_length=2, description="relative spectral power"
     )
@@ -111,11 +109,8 @@ def camera_rgb(
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return tuple(spectrum.rgb for spectrum in spectra)
     response = camera_response(sensitivity)
-    white = (
-        TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
-        if white_balance_cct_k is None
-        else WhiteSpectrum(cct_k=white_balance_cct_k)
-    )
+    equal_energy = TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
+    white = WhiteSpectrum(cct_k=white_balance_cct_k) if white_balance_cct_k else equal_energy
     gain = 1 / (_power(white) @ response)
 
     def rgb(spectrum: Spectrum) -> Rgb:

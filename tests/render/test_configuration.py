@@ -9,7 +9,7 @@ from gelgap.assets import list_presets
 from gelgap.render.calibration.pictures import PressPicture
 from gelgap.render.calibration.profiles import SolvedPress
 from gelgap.render.camera import Camera
-from gelgap.render.imaging import picture_gap
+from gelgap.render.imaging import picture_gap, point_spread
 from gelgap.render.light import spectra
 from gelgap.render.light.irradiance import direct_light
 from gelgap.render.light.leds import Illumination, Led, ShadowDetail, led_samples
@@ -102,12 +102,42 @@ def test_irradiance_of_a_small_led_follows_the_inverse_square(renderer, kind):
     emitters = Illumination(leds=(led,)).emitters(Camera())
     detail = ShadowDetail(1.0, 3, 0.3)
     flat = shared_surface(renderer().lattice, renderer()._flat, "flat")
-    found = direct_light(flat, led_samples(emitters, detail), detail, None).irradiance[..., 0]
+    leds = led_samples(emitters, detail, renderer().lattice)
+    found = direct_light(flat, leds, detail, None).irradiance[..., 0]
     way = np.array(led.position_mm) - flat.positions_mm
     r = np.linalg.norm(way, axis=-1)
     area = {"bar": 0.02, "disc": np.pi * 0.01, "point": 1.0}[kind]
     emitted = 1.0 if kind == "point" else -(way @ led.normal) / r
     np.testing.assert_allclose(found, area * emitted * -way[..., 2] / r**3, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "position_mm", "size_mm"),
+    [("bar", (-9, 0, -3), (20, 3)), ("bar", (-12, 1, -8), (60, 10)), ("disc", (1, 0, -5), (10, 10))],
+)
+def test_irradiance_of_a_large_led_near_the_gel_is_that_of_all_its_face(renderer, kind, position_mm, size_mm):
+    sides = {"length_mm": size_mm[0], "height_mm": size_mm[1], "diameter_mm": size_mm[0]}
+    led = Led(kind=kind, position_mm=position_mm, facing=(1, 0, 0.4), spectrum={"rgb": (1, 1, 1)}, **sides)
+    render = MembraneRenderer(Sensor.preset("paper"), Illumination(leds=(led,)), quality="draft")
+    found, lattice = render._reference_irradiance[::10, ::10, 0], render.lattice.points_mm()[::10, ::10]
+    u, v = ((np.indices((150, 150)) + 0.5) / 75 - 1).reshape(2, -1)
+    shines = (np.hypot(u, v) < 1) | (kind == "bar")
+    face = np.array(position_mm) + np.stack([u, v], 1)[shines] @ led.half_axes_mm()
+    way = face - np.pad(lattice, ((0, 0), (0, 0), (0, 1)))[:, :, None]
+    emitted = np.maximum(-(way @ led.normal), 0) * -way[..., 2] / (way**2).sum(-1) ** 2
+    np.testing.assert_allclose(
+        found, size_mm[0] * size_mm[1] / 150**2 * emitted.sum(-1), rtol=0.006, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("sigma_px", [0.1, 0.4, 0.69, 0.7, 1.5])
+def test_the_point_spread_has_its_variance(sigma_px):
+    point = np.zeros((41, 320, 3), np.float32)
+    point[20, 160] = 1.0
+    spread = point_spread(point, Camera(point_spread_px=sigma_px))[..., 1]
+    along, across = np.arange(320) - 160, np.arange(41) - 20
+    found = spread.sum(0) @ along**2, spread.sum(1) @ across**2
+    np.testing.assert_allclose((spread.sum(), *found), (1, sigma_px**2, sigma_px**2), rtol=0.004)
 
 
 def test_markers_are_seeded_and_may_be_missing():

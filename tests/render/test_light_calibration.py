@@ -21,6 +21,7 @@ from gelgap.render.calibration.calibrator import (
     table_share,
 )
 from gelgap.render.calibration.fit import LightFit
+from gelgap.render.calibration.light import Bars, SeenPoints
 from gelgap.render.calibration.pictures import PressPicture
 from gelgap.render.calibration.poses import place_presses
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
@@ -224,8 +225,8 @@ def test_the_cameras_blur_is_found(tmp_path, blur_px):
         update={"camera": sensor.camera.model_copy(update={"point_spread_px": blur_px})}
     )
     renderer, rng = MembraneRenderer(blurred, sensor.illumination, SIZE_PX), np.random.default_rng(3)
-    shots = [renderer.picture(*sphere_dent(0.6, point_mm=point), rng=rng) for point in POINTS]
-    presses, reference = pressed(shots, depth_mm=0.6), renderer.reference(rng=rng)
+    shots = [renderer.picture(*sphere_dent(0.75, point_mm=point), rng=rng) for point in POINTS]
+    presses, reference = pressed(shots, depth_mm=0.75), renderer.reference(rng=rng)
     start = sensor.model_copy(update={"illumination": Illumination.preset("i0")})
     placed = place_presses(start.camera, reference, presses, profiles(None, None))
     # Few presses do not tell blur from scattered light that depends on the place: this light does not.
@@ -469,6 +470,18 @@ def test_a_press_is_expected_off_its_mark_as_the_others_are(pictures):
     fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(last))
     expected, marked = (pose[:2] - POINTS[last] for pose in (fit.expected_mm(last), placed.poses_mm[last]))
     assert np.hypot(*expected) < 0.6 * np.hypot(*marked)
+
+
+def test_a_bar_of_a_fit_lights_the_gel_as_the_renderers_does():
+    sizes = {"distance": [8.0, 14.0], "height": [4.0, 9.0], "length": [20.0, 40.0], "tall": [6.0, 11.0]}
+    bars = Bars(6.3, np.array([0.3, 2.0]), **{name: np.array(values) for name, values in sizes.items()})
+    leds = bars.leds(("one", "other"), np.ones((2, 3)), np.ones(3), 1.0)
+    render = MembraneRenderer(Sensor.preset("paper"), Illumination(leds=leds), quality="draft")
+    at_mm = render.lattice.points_mm()[10:-10:10, 10:-10:10]
+    found = SeenPoints.flat(at_mm.reshape(-1, 2)).bar_columns(SimpleNamespace(bars=bars))
+    irradiance = render._reference_irradiance[10:-10:10, 10:-10:10].reshape(-1, 2)
+    one = (bars.distance**2 + bars.height**2) / (bars.length * bars.tall)
+    np.testing.assert_allclose(found, irradiance * one, rtol=0.005)
 
 
 def test_a_blurring_camera_sees_a_blurred_dent(pictures):

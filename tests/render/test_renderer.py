@@ -146,6 +146,18 @@ def test_each_marker_covers_its_area_around_its_centre(dent, markers):
         np.testing.assert_allclose(own.sum(), area_px, rtol=0.03)
 
 
+@pytest.mark.parametrize("shape", ["round", "square"])
+@pytest.mark.parametrize("width_px", [0.8, 1.2, 2.0, 5.0])
+def test_a_marker_covers_its_area_however_few_pixels_show_it(shape, width_px):
+    places = [(1.643 * x, 1.713 * y) for x in range(-3, 4) for y in range(-2, 3)]
+    markers = Markers(positions_mm=places, diameter_mm=width_px * 12 / 160, shape=shape, albedo=(0, 0, 0))
+    sensor = Sensor.preset("paper").model_copy(update={"markers": markers})
+    render = MembraneRenderer(sensor, Illumination.preset("i0"), (160, 120), "draft")
+    covered = 1 - render.reference_linear().sum(2) / render.reference_linear(markers=False).sum(2)
+    area_px = width_px**2 * (1 if shape == "square" else np.pi / 4)
+    assert covered.sum() / len(places) == pytest.approx(area_px, rel=0.04)
+
+
 def test_a_grid_that_is_listed_gives_the_same_picture(dent):
     grid = Markers()
     listed = Markers(positions_mm=[tuple(place) for place in marker_rest_mm(grid).reshape(-1, 2).tolist()])
@@ -193,6 +205,8 @@ def test_behind_an_led_s_face_its_light_is_black_and_the_others_add_up(dent):
     """A portrait picture of a wide sensor shows membrane beyond the bar at y = −9.5 mm; a sphere presses there."""
     membrane = dent(1.274, (0.0, 0.0), (2.509, -8.244), half_extent_mm=(12.0, 12.0), radius_mm=10.5)
     sensor, light = Sensor.preset("gelsight-2014-like"), Illumination.preset("i0")
+    camera = sensor.camera.model_copy(update={"point_spread_px": 0.0})
+    sensor = sensor.model_copy(update={"camera": camera})
     pictures = [
         MembraneRenderer(sensor, Illumination(leds=leds), (48, 64), "draft").linear(*membrane)
         for leds in (light.leds, *((led,) for led in light.leds))
@@ -377,6 +391,7 @@ def test_maps_are_aligned_with_the_picture(renderer, dent):
         (lambda x, y, u: (x[::-1], y, u), "x_mm must increase"),
         (lambda x, y, u: (x, y, u[:-1]), "shape"),
         (lambda x, y, u: (x, y, u * (8, 1, 1)), "folds the membrane"),
+        (lambda x, y, u: (x, y, u * (1, 1, 30)), "rises by 24 mm; the camera sees it up to 22.5 mm"),
     ],
 )
 def test_bad_membranes_are_refused_by_name(renderer, dent, change, words):
