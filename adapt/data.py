@@ -338,7 +338,8 @@ class NetworkInputs:
         if self.windows is None:
             return self._of_frames(rows)
         own = self.windows[torch.as_tensor(rows, device=self.windows.device)]
-        return self._of_frames(own.flatten()).unflatten(0, own.shape).flatten(1, 2)
+        sequences = self._of_frames(own.flatten()).unflatten(0, own.shape).flatten(1, 2)
+        return sequences.contiguous(memory_format=torch.channels_last)
 
     def _of_frames(self, rows: np.ndarray | Tensor) -> Tensor:
         paired = self.pictures.inputs(rows)

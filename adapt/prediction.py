@@ -31,18 +31,20 @@ def predict_each(
     """
     clip: Path | None = None
     latest: deque[np.ndarray] = deque(maxlen=model.profile.sequence_length)
-    touch: list[np.ndarray] = []  # the picture in which the present contact began
+    # Of as many before the picture: the one in which its contact began, none without contact.
+    touches: deque[list[np.ndarray]] = deque(maxlen=model.profile.sequence_length)
     for name, picture in pictures:
         if clip != Path(name).parent:
             clip = Path(name).parent
             latest.clear()
-            touch.clear()
+            touches.clear()
+            touches.append([])
         latest.append(picture)
         try:
             if latest[0].shape != picture.shape:
                 raise ValueError("it has another size than the picture before it in its folder")
             predicted = (
-                model.predict(np.stack([*touch, *latest]), reference)[-1]
+                model.predict(np.stack([*touches[0], *latest]), reference)[-1]
                 if model.profile.needs_trajectories
                 else model.predict(picture, reference)
             )
@@ -50,7 +52,7 @@ def predict_each(
             raise ValueError(f"{name}: {error}") from None
         if INPUTS[model.profile.input].from_touch:
             change = change_of(picture, reference, model.profile.image_size_px)
-            touch = (touch or [picture]) if len(dent_pixels(change)) else []
+            touches.append((touches[-1] or [picture]) if len(dent_pixels(change)) else [])
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
         notes = [range_note(model.labels, predicted, model.correction)]
         if _is_grey(picture) and not _is_grey(reference):

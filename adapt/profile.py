@@ -45,8 +45,8 @@ class Profile(PresetSettings):
     )
     """width and height of the gel, mm, that the input markers shows around the sensor's centre, 1 to 150"""
     sequence_length: int = Field(default=1, ge=1, le=16, exclude_if=lambda value: value == 1)
-    """how many frames of a trajectory, up to the one that is labelled, the network is shown, 1 to 16; its first frame
-    is repeated before it"""
+    """how many frames of a trajectory, up to the one that is labelled, the network is shown as channels of one picture,
+    1 to 16; its first frame is repeated before it"""
     batch_size: int = Field(default=32, ge=2, le=4096)
     """frames of each domain in a step"""
     source_epochs: int = Field(default=20, ge=1)
@@ -155,9 +155,9 @@ class Profile(PresetSettings):
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
-        """Channels, height and width of one frame of the network's input."""
+        """Channels of all frames of a sequence, height and width of the network's input."""
         width, height = self.image_size_px
-        return self.in_channels, height * (2 if self.pairing == "stack" else 1), width
+        return self.sequence_length * self.in_channels, height * (2 if self.pairing == "stack" else 1), width
 
     @property
     def needs_trajectories(self) -> bool:

@@ -560,8 +560,6 @@ def _make_optimizer(
     """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
     heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
     factor = 0.0 if INPUTS[profile.input].frozen else profile.backbone_rate_factor
-    if profile.sequence_length > 1:
-        heads.append(network.recurrent)
     of_heads = [p for module in heads for p in module.parameters()]
     groups = [
         {"params": list(network.backbone.parameters()), "initial_lr": rate * factor},

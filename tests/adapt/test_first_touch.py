@@ -100,10 +100,11 @@ def test_forces_are_turned_with_their_dents():
     )
 
 
-def test_a_network_is_trained_on_dents_and_reads_pictures_one_by_one_as_frames(tmp_path: Path):
-    frames = trajectories()
-    split = split_for_training(frames, frames, TOUCH, 0)
-    model = adapt(train_source(split.source_train, TOUCH), split.source_train, split.target_train, "dan")
+@pytest.mark.parametrize("length", [1, 3])
+def test_a_network_is_trained_on_dents_and_reads_pictures_one_by_one_as_frames(length: int, tmp_path: Path):
+    frames, profile = trajectories(), TOUCH.replace(sequence_length=length)
+    split = split_for_training(frames, frames, profile, 0)
+    model = adapt(train_source(split.source_train, profile), split.source_train, split.target_train, "dan")
     model.save(tmp_path / "model.pt")
     model = ForceModel.load(tmp_path / "model.pt")
     rows = list(predict_each(model, [(f"{k}.png", frames.picture(k)) for k in range(7)], frames.reference))
