@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
-from gelgap.adapt.inputs import INPUTS
+from gelgap.adapt.inputs import FITTED, INPUTS
 from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
@@ -268,9 +268,13 @@ def pretrain_on_stream(
     Raises
     ------
     ValueError
-        If the profile is unknown, or no force of an epoch is within the declared range.
+        If the profile is unknown or needs many pictures of each light, or no force of an epoch is within its range.
     """
     profile = Profile.named(profile)
+    if profile.input in FITTED:
+        raise ValueError(
+            f"input {profile.input}: a stream has few pictures of each light; choose another input"
+        )
     out_dir, n = Path(out_dir), frames_per_epoch
     out_dir.mkdir(parents=True, exist_ok=True)
 

@@ -57,8 +57,8 @@ class ForceModel:
     labels are those it was trained on, with their ranges; size_px is the width and height of the pictures of the domain
     it is for, as stored, before they are reduced to the profile's; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
-    for, where the profile's input has one; correction is what a few labels added; camera took the pictures, where that
-    is known.
+    for, where the profile's input has one, None where each of several has its own; correction is what a few labels
+    added; camera took the pictures, where that is known.
     """
 
     network: ForceNetwork
@@ -83,6 +83,15 @@ class ForceModel:
     def force_range_n(self) -> np.ndarray:
         """The ranges of the labels (k, 2): of forces in N, (3, 2)."""
         return np.array(self.labels.ranges)
+
+    @property
+    def own_map(self) -> InputMap | None:
+        """The input_map; a ValueError if the model is of several sources, each with a map of its own."""
+        if self.input_map is None and INPUTS[self.profile.input].fit is not None:
+            raise ValueError(
+                f"{self.source} have a map each (input {self.profile.input}): adapt the model to yours"
+            )
+        return self.input_map
 
     def corrected(self, correction: AffineCorrection) -> "ForceModel":
         """Return the model whose predictions are corrected so, after what corrects them now."""
@@ -136,7 +145,7 @@ class ForceModel:
         unknown = {TRAJECTORY: np.zeros(len(pictures), int), STEP: np.arange(len(pictures))}
         unknown |= {self.labels.names[0]: np.full(len(pictures), np.nan)}
         frames = ArrayFrames("these pictures", pictures, reference, None, camera=self.camera, **unknown)
-        predicted = self.predict_frames(frames)
+        predicted = replace(self, input_map=self.own_map).predict_frames(frames)
         return predicted if picture.ndim == 4 else predicted[0]
 
     def predict_frames(self, frames: LabelledFrames) -> np.ndarray:
@@ -300,12 +309,11 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     network = copy.deepcopy(model.network)
     estimate_statistics(network, frames, model.profile, model.seed)
     shown = input_map(frames, model.profile, model.device)
-    camera = frames.cameras[0]
-    return replace(model, network=network, size_px=frames.size_px, input_map=shown, camera=camera)
+    return replace(model, network=network, size_px=frames.size_px, input_map=shown, camera=frames.cameras[0])
 
 
 def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:
-    """Return the map of a domain's inputs; None where the profile's input has none."""
+    """Return the map of a domain's inputs; None where the profile's input has none, or each of several its own."""
     return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
