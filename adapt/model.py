@@ -11,7 +11,7 @@ from pydantic import FiniteFloat, PositiveInt, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import SAME_ASPECT, Draw, epoch_order, network_inputs
+from gelgap.adapt.data import SAME_ASPECT, Draw, generator, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import (
     ForceNetwork,
@@ -318,8 +318,8 @@ def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) ->
 
 
 def estimate_statistics(network: nn.Module, frames: LabelledFrames, profile: Profile, seed: int) -> None:
-    """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
+    """Set every batch normalisation's mean and variance to their averages over shuffled equal batches of all."""
     pictures = network_inputs(frames, profile, next(network.parameters()).device)
-    order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
-    update_bn(map(pictures.inputs, order), network)
-    network.eval()
+    shuffled = generator(seed, Draw.STATISTICS).permutation(len(pictures))
+    batches = np.array_split(shuffled, 1 + (len(shuffled) - 1) // _STATISTICS_BATCH)
+    update_bn(map(pictures.inputs, batches), network)

@@ -6,6 +6,7 @@ import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
+from gelgap.adapt.few_labels import pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
 from gelgap.domains import ArrayFrames, join_domains
 from gelgap.render import Camera
@@ -215,6 +216,8 @@ def test_maps_that_may_not_fit_are_noted(source, target, profile):
     (note,) = size_notes(source, target, calibrated.replace(colour_mixing=0.5))
     assert "colour_mixing turns slopes as if they were colours" in note
     assert size_notes(source, target, calibrated) == ()
+    with pytest.raises(ValueError, match="input calibrated: a stream has few pictures of each light"):
+        pretrain_on_stream(None, "nowhere", calibrated)
 
 
 def test_averaged_weights_are_the_result_and_repeat():
