@@ -358,8 +358,8 @@ def network_inputs(
 ) -> NetworkInputs:
     """Return the frames' pictures on the device as the profile shows them to the network.
 
-    Where its input has a map for each domain, it is the given one, or else that of these frames. Data sets that are
-    joined have one each, by all of their pictures (docs/results/README.md). Without `markers` they are inpainted.
+    Where its input has a map for each domain, it is the given one, or else that of these frames. Of joined data sets
+    each has its own, by all of its pictures: 0.040 N for 0.051 N in eight lights. Without `markers` they are inpainted.
     """
     shown, windows = INPUTS[profile.input], None
     if profile.sequence_length > 1:

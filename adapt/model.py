@@ -57,8 +57,8 @@ class ForceModel:
     labels are those it was trained on, with their ranges; size_px is the width and height of the pictures of the domain
     it is for, as stored, before they are reduced to the profile's; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
-    for, where the profile's input has one, None where each of several has its own; correction is what a few labels
-    added; camera took the pictures, where that is known.
+    for, where the profile's input has one; None where it is for several, and each data set is shown by a map of its
+    own. correction is what a few labels added; camera took the pictures, where that is known.
     """
 
     network: ForceNetwork
@@ -89,7 +89,7 @@ class ForceModel:
         """The input_map; a ValueError if the model is of several sources, each with a map of its own."""
         if self.input_map is None and INPUTS[self.profile.input].fit is not None:
             raise ValueError(
-                f"{self.source} have a map each (input {self.profile.input}): adapt the model to yours"
+                f"{self.source} have a map each (input {self.profile.input}), your pictures none: adapt the model"
             )
         return self.input_map
 

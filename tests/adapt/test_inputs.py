@@ -6,9 +6,9 @@ import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
-from gelgap.adapt.few_labels import pretrain_on_stream
+from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
-from gelgap.domains import ArrayFrames, join_domains
+from gelgap.domains import ArrayFrames, join_domains, with_labels
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
@@ -204,8 +204,10 @@ def test_each_of_several_sources_is_shown_by_a_map_of_its_own(name):
     changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0, "input": name}
     stage1 = train_source(several.take(np.arange(0, 80, 2)), Profile.preset("smoke").replace(**changes))
     np.testing.assert_allclose(stage1.predict_n(several)[40:], stage1.predict_n(other), atol=1e-5)
-    with pytest.raises(ValueError, match=rf"one\+other have a map each \(input {name}\): adapt"):
+    with pytest.raises(ValueError, match=rf"one\+other have a map each \(input {name}\), your"):
         stage1.predict(one.picture(0), one.reference)
+    with pytest.raises(ValueError, match="have a map each"):
+        affine_correction(stage1, with_labels(one.take(rows[1:2]), stage1.labels))
     assert adapt(stage1, several, other, "adabn").predict(one.picture(0), one.reference).shape == (3,)
 
 
