@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import INPUTS, Found, InputMap, rest_markers
+from gelgap.adapt.inputs import FEW_TO_FIT, FITTED, INPUTS, Found, InputMap, mapped, rest_markers
 from gelgap.adapt.profile import Profile
 from gelgap.domains import LabelledFrames, Labels, split_domains, with_labels
 from gelgap.domains.frames.dataset import labelled_frames
@@ -166,7 +166,7 @@ def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
-    And one on a map that does not fit, and, for markers, for each domain of whose view less than half is shown.
+    And one on maps that may not fit, and, for markers, for each domain of whose view less than half is shown.
 
     Raises
     ------
@@ -185,8 +185,8 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         for name, w0, h0 in sizes
         if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
     ]
-    if profile.input in ("calibrated", "standardised") and len(source.members) > 1:
-        notes.append(f"input {profile.input} finds one map for all sources: in different lights it fits none")
+    few = [own for own in (*source.members, target) if profile.input in FITTED and len(own) < FEW_TO_FIT]
+    notes += [f"input {profile.input}: a map by {len(own)} pictures of {own.name} hardly fits" for own in few]
     if profile.input == "calibrated" and profile.colour_mixing:
         notes.append("input calibrated: colour_mixing turns slopes as if they were colours; set it to 0")
     if profile.input == "markers":
@@ -319,19 +319,18 @@ def _check_turning(names: Sequence[str]) -> None:
         )
 
 
+@dataclass(frozen=True, eq=False)
 class NetworkInputs:
     """The pictures of a domain as a network is shown them, on the device, a batch at a time.
 
-    `windows` (n, length) are the rows of each frame's sequence; None shows the frame alone.
+    `windows` (n, length) are the rows of each frame's sequence; None shows the frame alone. Where data sets are joined,
+    `of_frames` are the matrix (n, c, C) and offset (n, c) of each frame's own map.
     """
 
-    def __init__(
-        self,
-        pictures: PairedFrames | Found,
-        input_map: InputMap | None = None,
-        windows: Tensor | None = None,
-    ) -> None:
-        self.pictures, self.map, self.windows = pictures, input_map, windows
+    pictures: PairedFrames | Found
+    map: InputMap | None = None
+    windows: Tensor | None = None
+    of_frames: tuple[Tensor, ...] = ()
 
     def inputs(self, rows: np.ndarray | Tensor) -> Tensor:
         """Return inputs (B, C, h, w) float32 of these frames; the frames of a sequence along C, the oldest first."""
@@ -343,6 +342,8 @@ class NetworkInputs:
 
     def _of_frames(self, rows: np.ndarray | Tensor) -> Tensor:
         paired = self.pictures.inputs(rows)
+        if self.of_frames:
+            return mapped(paired, *(values[rows] for values in self.of_frames))
         return paired if self.map is None else self.map(paired)
 
     def __len__(self) -> int:
@@ -358,8 +359,8 @@ def network_inputs(
 ) -> NetworkInputs:
     """Return the frames' pictures on the device as the profile shows them to the network.
 
-    Where its input has a map for each domain, it is the given one, or else that of these frames. Without `markers` the
-    markers are inpainted.
+    Where its input has a map for each domain, it is the given one, or else that of these frames. Of joined data sets
+    each has its own, by all of its pictures: 0.040 N for 0.051 N in eight lights. Without `markers` they are inpainted.
     """
     shown, windows = INPUTS[profile.input], None
     if profile.sequence_length > 1:
@@ -370,7 +371,19 @@ def network_inputs(
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures, windows=windows)
-    return NetworkInputs(pictures, input_map or shown.fit(pictures), windows)
+    if input_map is not None or not frames.owners:
+        return NetworkInputs(pictures, input_map or shown.fit(pictures), windows)
+    maps = {own: _map_of(own, profile, device) for own in set(frames.owners)}
+    each = [maps[frames.owners[number]] for number in frames.reference_id]
+    of_frames = tuple(torch.tensor(values, device=device) for values in zip(*each, strict=True))
+    return NetworkInputs(pictures, None, windows, of_frames)
+
+
+def _map_of(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap:
+    try:
+        return INPUTS[profile.input].fit(frames.torch(profile.image_size_px, profile.pairing, device))
+    except ValueError as error:
+        raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
 
 
 def normalised_labels(frames: LabelledFrames) -> np.ndarray:

@@ -19,7 +19,6 @@ import pandas as pd
 from pydantic import BeforeValidator
 
 from gelgap.adapt.data import SplitFrames
-from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
 from gelgap.domains import LabelledFrames, paired_contacts, with_labels
@@ -145,8 +144,6 @@ def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> Forc
     """
     if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
         return with_statistics_of(model, source_train)
-    if INPUTS[model.profile.input].fit is None:
-        return model
     return replace(model, input_map=input_map(source_train, model.profile, model.device))
 
 

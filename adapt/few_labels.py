@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
-from gelgap.adapt.inputs import INPUTS
+from gelgap.adapt.inputs import FITTED, INPUTS
 from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
@@ -119,7 +119,7 @@ def fine_tune(
             "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
         )
     network = copy.deepcopy(model.network).eval()
-    pictures = network_inputs(frames, model.profile, model.device, model.input_map)
+    pictures = network_inputs(frames, model.profile, model.device, model.own_map)
     force = torch.from_numpy(normalised_labels(frames)).to(model.device)
     optimizer = torch.optim.SGD(network.parameters(), learning_rate, _MOMENTUM)
     rng = generator(Draw.FINE_TUNING, model.seed if seed is None else seed)
@@ -146,7 +146,7 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
         If there are no frames, a label is outside the model's range, or the model is of dents from first touch.
     """
     _check(model, frames)
-    predicted = model.predict_frames(frames)
+    predicted = replace(model, input_map=model.own_map).predict_frames(frames)
     scale = (model.labels.high - model.labels.low) / 2
     # Over the range's half-width: then both columns of the regression, and all labels, are of one size.
     columns = np.stack([predicted / scale, np.ones_like(predicted)], axis=2)
@@ -268,9 +268,13 @@ def pretrain_on_stream(
     Raises
     ------
     ValueError
-        If the profile is unknown, or no force of an epoch is within the declared range.
+        If the profile is unknown or needs many pictures of each light, or no force of an epoch is within its range.
     """
     profile = Profile.named(profile)
+    if profile.input in FITTED:
+        raise ValueError(
+            f"input {profile.input}: a stream has few pictures of each light; choose another input"
+        )
     out_dir, n = Path(out_dir), frames_per_epoch
     out_dir.mkdir(parents=True, exist_ok=True)
 

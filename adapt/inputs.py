@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 _BATCH = 256
+# A channel that does not vary, as that of a picture without contact, is not blown up.
+_LEAST_STD = 1e-3
 # Of the largest singular value: directions of colour that hardly respond to a slope are not blown up to noise.
 _LEAST_RESPONSE = 0.1
 # A difference below this share of the range is noise; above it a pixel belongs to the dent.
@@ -39,13 +41,18 @@ class InputMap(NamedTuple):
 
     def __call__(self, inputs: "Tensor") -> "Tensor":
         """Return mapped inputs (B, c, h, w) of inputs (B, C, h, w), channels last in memory."""
-        matrix, offset = (inputs.new_tensor(values) for values in self)
-        return (inputs.permute(0, 2, 3, 1) @ matrix.T + offset).permute(0, 3, 1, 2)
+        return mapped(inputs, *map(inputs.new_tensor, self))
 
     @classmethod
     def of(cls, matrix: np.ndarray, offset: np.ndarray | None = None) -> "InputMap":
         offset = np.zeros(len(matrix)) if offset is None else offset
         return cls(tuple(map(tuple, matrix.tolist())), tuple(offset.tolist()))
+
+
+def mapped(inputs: "Tensor", matrix: "Tensor", offset: "Tensor") -> "Tensor":
+    """Return inputs (B, c, h, w) of (B, C, h, w), by one matrix (c, C) and offset (c,) or by one for each of B."""
+    pixels = inputs.permute(0, 2, 3, 1).flatten(1, 2) @ matrix.mT + offset[..., None, :]
+    return pixels.unflatten(1, inputs.shape[2:]).permute(0, 3, 1, 2)
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,15 @@ class Input:
 
 def standardisation(pictures: "PairedFrames") -> InputMap:
     """Return the map that gives every channel mean 0 and deviation 1 over the pictures."""
-    mean, std = map(np.array, pictures.channel_statistics())
+    import torch
+
+    total = squares = torch.zeros((), dtype=torch.float64)
+    for rows in torch.arange(len(pictures)).split(_BATCH):
+        colour = pictures.inputs(rows).double()
+        total, squares = total + colour.sum(dim=(0, 2, 3)), squares + colour.square().sum(dim=(0, 2, 3))
+    n = len(pictures) * colour[0, 0].numel()
+    mean = (total / n).cpu().numpy()
+    std = np.sqrt(np.maximum((squares / n).cpu().numpy() - mean**2, _LEAST_STD**2))
     return InputMap.of(np.diag(1 / std), -mean / std)
 
 
@@ -89,23 +104,19 @@ def calibration(pictures: "PairedFrames") -> InputMap:
     import torch
 
     response, covariance, weight = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
-    for start in range(0, len(pictures), _BATCH):
-        colour = pictures.inputs(np.arange(start, min(start + _BATCH, len(pictures))))
+    for rows in torch.arange(len(pictures)).split(_BATCH):
+        colour = pictures.inputs(rows)
         strength = colour.abs().mean(dim=1)
         # Differences are four times those of pictures in [0, 1].
         strength = (strength * (strength > 4 * _LEAST_DIFFERENCE)).double()
         total = strength.sum(dim=(1, 2)).clamp_min(1e-12)[:, None, None]
-        y, x = (
-            torch.arange(n, device=colour.device, dtype=torch.float64)
-            for n in (colour.shape[2], colour.shape[3])
-        )
+        y, x = (torch.arange(n, device=colour.device, dtype=torch.float64) for n in colour.shape[2:])
         dx = x[None, None, :] - (strength * x[None, None, :] / total).sum(dim=(1, 2), keepdim=True)
         dy = y[None, :, None] - (strength * y[None, :, None] / total).sum(dim=(1, 2), keepdim=True)
         radius = (strength * torch.hypot(dx, dy) / total).sum(dim=(1, 2), keepdim=True).clamp_min(1e-12)
         inside = (strength > 0).double() * (torch.hypot(dx, dy) < 2 * radius)
-        shape = torch.stack(
-            torch.broadcast_tensors(dx / radius, dy / radius, torch.ones_like(strength)), dim=1
-        )
+        shares = dx / radius, dy / radius, torch.ones_like(strength)
+        shape = torch.stack(torch.broadcast_tensors(*shares), dim=1)
         response += torch.einsum("nchw,nkhw,nhw->ck", colour.double(), shape, inside).cpu().numpy()
         covariance += torch.einsum("nchw,nkhw->ck", colour.double(), colour.double()).cpu().numpy()
         weight += float(inside.sum())
@@ -209,6 +220,8 @@ INPUTS = {
     "pretrained": Input("features of a pretrained network (--weights), whose weights stay", frozen=True),
 }
 """What a network can be shown."""
+FITTED, FEW_TO_FIT = ("calibrated", "standardised"), 8
+"""Inputs whose map depends on a domain's pictures, and how many give one that fits (docs/adaptation.md)."""
 
 
 class Found:

@@ -11,7 +11,7 @@ from pydantic import FiniteFloat, PositiveInt, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import SAME_ASPECT, Draw, epoch_order, network_inputs
+from gelgap.adapt.data import SAME_ASPECT, Draw, generator, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import (
     ForceNetwork,
@@ -57,8 +57,8 @@ class ForceModel:
     labels are those it was trained on, with their ranges; size_px is the width and height of the pictures of the domain
     it is for, as stored, before they are reduced to the profile's; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
-    for, where the profile's input has one; correction is what a few labels added; camera took the pictures, where that
-    is known.
+    for, where the profile's input has one; None where it is for several, and each data set is shown by a map of its
+    own. correction is what a few labels added; camera took the pictures, where that is known.
     """
 
     network: ForceNetwork
@@ -83,6 +83,15 @@ class ForceModel:
     def force_range_n(self) -> np.ndarray:
         """The ranges of the labels (k, 2): of forces in N, (3, 2)."""
         return np.array(self.labels.ranges)
+
+    @property
+    def own_map(self) -> InputMap | None:
+        """The input_map; a ValueError if the model is of several sources, each with a map of its own."""
+        if self.input_map is None and INPUTS[self.profile.input].fit is not None:
+            raise ValueError(
+                f"{self.source} have a map each (input {self.profile.input}), your pictures none: adapt the model"
+            )
+        return self.input_map
 
     def corrected(self, correction: AffineCorrection) -> "ForceModel":
         """Return the model whose predictions are corrected so, after what corrects them now."""
@@ -136,7 +145,7 @@ class ForceModel:
         unknown = {TRAJECTORY: np.zeros(len(pictures), int), STEP: np.arange(len(pictures))}
         unknown |= {self.labels.names[0]: np.full(len(pictures), np.nan)}
         frames = ArrayFrames("these pictures", pictures, reference, None, camera=self.camera, **unknown)
-        predicted = self.predict_frames(frames)
+        predicted = replace(self, input_map=self.own_map).predict_frames(frames)
         return predicted if picture.ndim == 4 else predicted[0]
 
     def predict_frames(self, frames: LabelledFrames) -> np.ndarray:
@@ -300,18 +309,17 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     network = copy.deepcopy(model.network)
     estimate_statistics(network, frames, model.profile, model.seed)
     shown = input_map(frames, model.profile, model.device)
-    camera = frames.cameras[0]
-    return replace(model, network=network, size_px=frames.size_px, input_map=shown, camera=camera)
+    return replace(model, network=network, size_px=frames.size_px, input_map=shown, camera=frames.cameras[0])
 
 
 def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:
-    """Return the map of a domain's inputs; None where the profile's input has none."""
+    """Return the map of a domain's inputs; None where the profile's input has none, or each of several its own."""
     return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
 def estimate_statistics(network: nn.Module, frames: LabelledFrames, profile: Profile, seed: int) -> None:
-    """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
+    """Set every batch normalisation's mean and variance to their averages over shuffled equal batches of all."""
     pictures = network_inputs(frames, profile, next(network.parameters()).device)
-    order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
-    update_bn(map(pictures.inputs, order), network)
-    network.eval()
+    shuffled = generator(seed, Draw.STATISTICS).permutation(len(pictures))
+    batches = np.array_split(shuffled, 1 + (len(shuffled) - 1) // _STATISTICS_BATCH)
+    update_bn(map(pictures.inputs, batches), network)

@@ -32,7 +32,7 @@ class PictureToLabels(nn.Module):
     def __init__(self, model: ForceModel) -> None:
         super().__init__()
         self.network = copy.deepcopy(model.network).cpu()
-        self.pairing, self.map = model.profile.pairing, model.input_map
+        self.pairing, self.map = model.profile.pairing, model.own_map
         low, high = model.labels.low, model.labels.high
         gain, offset = model.correction or (np.ones(len(low)), np.zeros(len(low)))
         scale, start = np.multiply(gain, high - low), np.multiply(gain, low) + offset

@@ -43,7 +43,7 @@ from gelgap.domains.sweep import unseen_differences
 
 LOG = logging.getLogger(__name__)
 _RESUME = "resume.pt"
-_METHODS_VERSION = 3
+_METHODS_VERSION = 4
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
     name
@@ -152,10 +152,8 @@ def _runs_of(
     if out is None:
         group = _with_oracles(group, source, target)
         return [group.run(method)[0] for method in methods]
-    folders: dict[str, Path] = {}
-    for method in methods:
-        key = group.key(method)
-        folders[method] = out / f"{source.name}-{target.name}-{method}-{group.stage1.seed}-{key[:8]}"
+    stem, seed = f"{source.name}-{target.name}", group.stage1.seed
+    folders = {method: out / f"{stem}-{method}-{seed}-{group.key(method)[:8]}" for method in methods}
     missing = [method for method, folder in folders.items() if not (folder / RECORD).is_file()]
     done: dict[str, Run] = {}
     with ExitStack() as held:
@@ -320,9 +318,7 @@ class Group:
                 constant[name] = evaluate_constant_mean(frames.source_train, part)
                 if arrays:
                     errors[name] = evaluate_frames(part, arrays[f"{name}_predicted_n"])
-        label_free = None
-        if arrays and not len(frames.target_test):
-            label_free = self._label_free(method, arrays)
+        unlabelled = arrays and not len(frames.target_test)
         run = Run(
             key=self.key(method),
             source=frames.source_train.name,
@@ -345,7 +341,7 @@ class Group:
             problem=adapted.problem,
             oracles=dict(self.oracles),
             unseen=self.unseen,
-            label_free=label_free,
+            label_free=self._label_free(method, arrays) if unlabelled else None,
             folder=folder,
         )
         if folder is not None:

@@ -101,8 +101,8 @@ def train_source(
             progress=progress,
             frames_of_epoch=frames_of_epoch,
         )
-        turned = INPUTS[profile.input].from_touch
-        if profile.colour_mixing or profile.marker_hiding or profile.shift_px or turned:
+        changed = profile.colour_mixing or profile.marker_hiding or profile.shift_px
+        if changed or INPUTS[profile.input].from_touch:
             estimate_statistics(model.network, source, profile, seed)
     model.network.eval()
     history = tuple(map(asdict, records))
@@ -218,8 +218,6 @@ class EpochRecord:
         Effective rank of the last source batch's features.
     skipped_steps
         Steps whose loss or gradient was not finite.
-    wall_s, wait_s
-        Time of the epoch, and the part of it spent on making batches.
     diagnostics
         Mean of each number that the method reports, over the steps that were not skipped.
     """
@@ -232,7 +230,6 @@ class EpochRecord:
     feature_rank: float
     skipped_steps: int
     wall_s: float
-    wait_s: float
     diagnostics: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -294,7 +291,6 @@ def train(
             del source  # one domain's pictures at a time
             source = TrainingDomain(drawn, profile, network.device, labelled=True)
         for number, batches in enumerate(batches_of(epoch, source, target, profile, seed), epoch * steps):
-            log.batch_is_made()
             _set_rate(optimizer, profile, number, steps * epochs)
             optimizer.zero_grad(set_to_none=True)
             weight = final_weight * transfer_factor(number, steps * epochs, profile)
@@ -482,15 +478,10 @@ class EpochLog:
     """Collects the steps of one epoch, on the device; `record` sums them up."""
 
     def __init__(self) -> None:
-        self._start = self._step_end = time.perf_counter()
-        self._wait_s = 0.0
+        self._start = time.perf_counter()
         self._steps: list[tuple[Mapping[str, Tensor], Mapping[str, float | Tensor], Tensor]] = []
         self._predictions: list[Tensor] = []
         self._labels: list[Tensor] = []
-
-    def batch_is_made(self) -> None:
-        """Note that the loop has got its next batch."""
-        self._wait_s += time.perf_counter() - self._step_end
 
     def add(
         self,
@@ -506,7 +497,6 @@ class EpochLog:
         self._predictions.append(source.prediction.detach().float())
         self._labels.append(source.force.detach().float())
         self._features = source.features.detach().float()
-        self._step_end = time.perf_counter()
 
     def record(self, stage: str, epoch: int) -> EpochRecord:
         """Return what the epoch did."""
@@ -520,7 +510,6 @@ class EpochLog:
             feature_rank=effective_rank(self._features),
             skipped_steps=len(self._predictions) - len(self._steps),
             wall_s=time.perf_counter() - self._start,
-            wait_s=self._wait_s,
             diagnostics=_means(diagnostics),
         )
 
@@ -532,11 +521,9 @@ def _means(steps: tuple[Mapping[str, float | Tensor], ...]) -> dict[str, float]:
 
 
 def prediction_spread(prediction: Tensor, force: Tensor) -> float:
-    """Return the mean over axes of std(prediction) / std(force); axes with constant labels are left out."""
+    """Return the mean over axes of std(prediction) / std(force); axes with constant labels are left out (all: NaN)."""
     label_std = force.std(dim=0)
     varies = label_std > 1e-6
-    if not varies.any():
-        return math.nan
     return float((prediction.std(dim=0)[varies] / label_std[varies]).mean())
 
 

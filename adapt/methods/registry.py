@@ -66,9 +66,8 @@ def register(name: str, method: "type[Method]") -> None:
     """
     if name in method_names():
         raise ValueError(f"method name {name!r} is taken")
-    EXTRA[name] = method
     with suppress(TypeError, OSError):  # in a notebook it has no file
-        _CODE[name] = code_sha256(method)
+        _keep(name, method)
 
 
 def use_method(name: str) -> str:

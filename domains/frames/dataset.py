@@ -78,6 +78,8 @@ class LabelledFrames(ABC):
         Functions that read the reference pictures (h, w, 3), one or several.
     cameras
         The camera of each reference picture, which says how many mm a pixel shows; None where that is not known.
+    owners
+        The data set of each reference picture, where several are joined.
     """
 
     name: str
@@ -88,6 +90,7 @@ class LabelledFrames(ABC):
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
+    owners: Sequence["LabelledFrames"] = ()
 
     @cached_property
     def cameras(self) -> Sequence[Camera | None]:
@@ -401,7 +404,7 @@ class DerivedFrames(LabelledFrames):
     ):
         self.whole, self.columns, self._change, self._indices = whole, columns, change, indices
         self.name, self.notes = whole.name, whole.notes
-        self.rest_pictures, self.cameras = whole.rest_pictures, whole.cameras
+        self.rest_pictures, self.cameras, self.owners = whole.rest_pictures, whole.cameras, whole.owners
         self._reduced_references = whole._reduced_references
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
         self.n_classes, self.labels = n_classes or whole.n_classes, whole.labels if labels is None else labels

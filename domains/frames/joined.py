@@ -53,6 +53,7 @@ class JoinedFrames(LabelledFrames):
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
         self.rest_pictures = [read for frames in domains for read in frames.rest_pictures]
+        self.owners = [frames for frames in domains for _ in frames.rest_pictures]
         self.cameras = [camera for frames in domains for camera in frames.cameras]
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 

@@ -1,7 +1,7 @@
 """Network inputs from labelled frames: contact and reference picture paired and normalised, a batch at a time."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -16,16 +16,6 @@ _MEAN = (0.485, 0.456, 0.406)
 _STD = (0.229, 0.224, 0.225)
 # Pressing changes a channel by a tenth or two of its range; the gain brings the input near unit size.
 _DIFFERENCE_GAIN = 4.0
-_STATISTICS_BATCH = 256
-# A channel that does not vary, as that of a picture without contact, is not blown up.
-_LEAST_STD = 1e-3
-
-
-class ChannelStatistics(NamedTuple):
-    """Mean and standard deviation (C,) of the channels of network inputs."""
-
-    mean: tuple[float, ...]
-    std: tuple[float, ...]
 
 
 class PairedFrames(Dataset):
@@ -106,17 +96,6 @@ class PairedFrames(Dataset):
         pictures, own = (values.sub_(mean).div_(std) for values in (pictures, own))
         dim = 3 if pairing == "channels" else 1
         return torch.cat([pictures, own.expand_as(pictures)], dim).permute(0, 3, 1, 2)
-
-    def channel_statistics(self) -> ChannelStatistics:
-        """Return the statistics of the inputs' channels over all frames and pixels."""
-        total = squares = 0.0
-        for start in range(0, len(self), _STATISTICS_BATCH):
-            batch = self.inputs(np.arange(start, min(start + _STATISTICS_BATCH, len(self)))).double()
-            total, squares = total + batch.sum(dim=(0, 2, 3)), squares + batch.square().sum(dim=(0, 2, 3))
-        n = len(self) * batch[0, 0].numel()
-        mean = total / n
-        std = (squares / n - mean.square()).clamp_min(_LEAST_STD**2).sqrt()
-        return ChannelStatistics(tuple(mean.tolist()), tuple(std.tolist()))
 
     def loader(
         self, batch_size: int = 32, shuffle: bool = True, seed: int = 0, workers: int = 0

@@ -6,8 +6,9 @@ import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
-from gelgap.adapt.inputs import INPUTS, Found, InputMap
-from gelgap.domains import ArrayFrames, join_domains
+from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
+from gelgap.adapt.inputs import INPUTS, Found
+from gelgap.domains import ArrayFrames, join_domains, with_labels
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
@@ -83,8 +84,9 @@ def test_channels_of_each_input():
 
 def test_pictures_without_a_dent_cannot_be_calibrated():
     flat = np.full((4, 48, 64, 3), 128, np.uint8)
-    with pytest.raises(ValueError, match="no picture shows a dent"):
-        shown(ArrayFrames("flat", flat, flat[0], np.zeros((4, 3))), "calibrated")
+    frames = ArrayFrames("flat", flat, flat[0], np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="input calibrated: flat: no picture shows a dent"):
+        shown(join_domains([dents(np.eye(3)[:, :2]), frames]), "calibrated")
 
 
 @pytest.mark.parametrize("name", ["calibrated", "grey"])
@@ -192,18 +194,32 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
 
 
-def test_a_map_that_several_sources_share_is_noted(source, target, tinted, profile):
-    several, calibrated = join_domains([source, tinted]), profile.replace(input="calibrated")
-    (note,) = size_notes(several, target, calibrated)
-    assert note == "input calibrated finds one map for all sources: in different lights it fits none"
+@pytest.mark.parametrize("name", ["calibrated", "standardised", "grey"])
+def test_each_of_several_sources_is_shown_by_a_map_of_its_own(name):
+    light = np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
+    one, other = dents(light, "one"), dents(light[[1, 0, 2]], "other", seed=1)
+    own, several = np.concatenate([shown(one, name), shown(other, name)]), join_domains([one, other])
+    rows = np.array([45, 1, 70])
+    np.testing.assert_allclose(shown(several.take(rows), name), own[rows], atol=1e-5)
+    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0, "input": name}
+    stage1 = train_source(several.take(np.arange(0, 80, 2)), Profile.preset("smoke").replace(**changes))
+    np.testing.assert_allclose(stage1.predict_n(several)[40:], stage1.predict_n(other), atol=1e-5)
+    with pytest.raises(ValueError, match=rf"one\+other have a map each \(input {name}\), your"):
+        stage1.predict(one.picture(0), one.reference)
+    with pytest.raises(ValueError, match="have a map each"):
+        affine_correction(stage1, with_labels(one.take(rows[1:2]), stage1.labels))
+    assert adapt(stage1, several, other, "adabn").predict(one.picture(0), one.reference).shape == (3,)
+
+
+def test_maps_that_may_not_fit_are_noted(source, target, profile):
+    calibrated = profile.replace(input="calibrated")
+    few = join_domains([source, dents(np.eye(3)[:, :2], "few", count=7)])
+    assert "a map by 7 pictures of few hardly fits" in size_notes(few, target, calibrated)[-1]
     (note,) = size_notes(source, target, calibrated.replace(colour_mixing=0.5))
     assert "colour_mixing turns slopes as if they were colours" in note
-    assert size_notes(source, target, calibrated) == size_notes(several, target, profile) == ()
-
-
-def test_a_map_is_a_matrix_and_an_offset():
-    kept = InputMap.of(np.diag([2.0, 4.0]), np.array([1.0, 0.0]))
-    assert kept(torch.ones(1, 2, 1, 1)).flatten().tolist() == [3.0, 4.0]
+    assert size_notes(source, target, calibrated) == ()
+    with pytest.raises(ValueError, match="input calibrated: a stream has few pictures of each light"):
+        pretrain_on_stream(None, "nowhere", calibrated)
 
 
 def test_averaged_weights_are_the_result_and_repeat():

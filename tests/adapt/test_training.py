@@ -22,13 +22,13 @@ from gelgap.adapt.data import (
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_code, method_names, register
-from gelgap.adapt.model import ForceModel
+from gelgap.adapt.model import ForceModel, estimate_statistics
 from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
-from gelgap.adapt.trainer import adapt, batches_of, train_source
+from gelgap.adapt.trainer import adapt, batches_of, train_source, untrained
 from gelgap.domains import ArrayFrames, join_domains
 
 
@@ -130,7 +130,7 @@ def test_a_smaller_target_is_cycled_on_from_epoch_to_epoch(source, target, profi
 def test_with_mixed_statistics_both_domains_are_judged_by_one_model(stage1, source, target):
     mixed = stage1.profile.replace(batch_statistics="mixed")
     adapted = adapt(stage1, source, target, "no-transfer", mixed)
-    assert as_judged_on_source(adapted, source) is adapted
+    assert as_judged_on_source(adapted, source) == adapted
     own = replace(adapted, profile=mixed.replace(batch_statistics="per_domain"))
     assert np.abs(as_judged_on_source(own, source).predict_n(source) - adapted.predict_n(source)).max() > 1e-3
 
@@ -461,6 +461,13 @@ def test_bad_profiles():
         ValueError, match=r"image_size_px.0 = 16: input should be greater than or equal to 32"
     ):
         Profile(image_size_px=(16, 16))
+
+
+def test_normalisation_statistics_are_of_every_picture(source, profile, monkeypatch):
+    shown = []
+    monkeypatch.setattr("gelgap.adapt.model.update_bn", lambda batches, network: shown.extend(batches))
+    estimate_statistics(untrained(source, profile).network, source, profile, seed=0)
+    assert [len(batch) for batch in shown] == [48, 48]
 
 
 def test_the_source_is_judged_under_its_own_statistics(source, target, profile):

@@ -161,15 +161,6 @@ def test_pictures_in_which_no_marker_is_found_stay(data: Path):
     np.testing.assert_array_equal(frames.images(40, markers=False), frames.images(40))
 
 
-@pytest.mark.parametrize("pairing", ["channels", "difference"])
-def test_the_statistics_of_channels_are_those_of_all_inputs(data: Path, pairing: str):
-    pairs = open_domain(data / "mb0i1").torch((40, 30), pairing)
-    inputs = pairs.inputs(np.arange(len(pairs))).double()
-    mean, std = pairs.channel_statistics()
-    assert mean == pytest.approx(inputs.mean(dim=(0, 2, 3)).tolist(), abs=1e-6)
-    assert std == pytest.approx(inputs.std(dim=(0, 2, 3)).tolist(), rel=1e-3)
-
-
 def arrays(n: int = 6, **changes) -> ArrayFrames:
     rng = np.random.default_rng(0)
     force = np.stack([np.zeros(n), np.zeros(n), -np.arange(n) / n], axis=1)
