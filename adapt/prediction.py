@@ -10,6 +10,7 @@ from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
 from gelgap.domains import Labels
+from gelgap.domains.formats.pictures import mismatch
 from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
 NamedPicture = tuple[str, np.ndarray]
@@ -52,14 +53,8 @@ def predict_each(
             change = change_of(picture, reference, model.profile.image_size_px)
             touch = (touch or [picture]) if len(dent_pixels(change)) else []
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
-        notes = [range_note(model.labels, predicted, model.correction)]
-        if _is_grey(picture) and not _is_grey(reference):
-            notes.append("the picture is grey, and the reference is not")
+        notes = [range_note(model.labels, predicted, model.correction), mismatch(picture, reference)]
         yield {"picture": name, **labels, "note": "; ".join(filter(None, notes))}
-
-
-def _is_grey(picture: np.ndarray) -> bool:
-    return bool((picture == picture[..., :1]).all())
 
 
 def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrection | None = None) -> str:

@@ -94,7 +94,11 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         if not clip.in_contact:
             noted["no force above 0.3 N, so that all is at rest: is its unit right?"].append(name)
         if clip.begins_in_contact:
-            noted["begins with a force, so its reference is its first picture"].append(name)
+            offset = "if nothing touches there, take what the gauge reads off its forces"
+            noted[f"begins with a force, so its reference is its first picture; {offset}"].append(name)
+        if (clip.correlation_at_0 or 0) < -abs(clip.correlation or 0):
+            what = "pictures change most where the force is least: is Fz's sign right, and 0 at rest?"
+            noted[what].append(name)
         if clip.in_holes:
             noted["pictures without labels, in holes of the log"].append(f"{name} ({clip.in_holes})")
         for note in clip.notes:

@@ -24,7 +24,7 @@ from gelgap.cli.export_model import ExportModel
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
-from gelgap.cli.keys import advice_on_keys, keys_listing
+from gelgap.cli.keys import advice_on, keys_listing
 from gelgap.cli.options import Command, check_values, output_folder
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
@@ -103,7 +103,7 @@ def _parse_command(name: str, words: tuple[str, ...]) -> Command:
     try:
         return tyro.cli(command, prog=f"gelgap {name}", args=words, description=description)
     except SystemExit as stop:
-        if stop.code == EXIT_BAD_INPUT and (advice := advice_on_keys(words, command.keys())):
+        if stop.code == EXIT_BAD_INPUT and (advice := advice_on(words, command.keys())):
             fail(advice, EXIT_BAD_INPUT)
         raise
 

@@ -396,7 +396,8 @@ def _recorded_clip(table: Path) -> Clip:
     if np.nanmax(pressed_n) < -np.nanmin(pressed_n):
         raise ValueError(
             f"{table}: fz_n reaches {-np.nanmin(pressed_n):.3g} N and no less than {-np.nanmax(pressed_n):.3g} N; in "
-            "compression Fz must be negative (the force of the indenter on the sensor): turn its sign"
+            "compression Fz must be negative (the force of the indenter on the sensor): turn its sign, or take off "
+            "what the gauge reads at rest"
         )
     _check_order(columns["time_s"], table)
     if repeated := int(labels.index.duplicated().sum()):

@@ -135,9 +135,10 @@ def test_a_prediction_at_the_end_of_its_range_is_noted(fz_n, words):
 
 def test_a_network_whose_weights_are_broken_is_noted_and_a_wrong_picture_named(stage1):
     broken = replace(stage1, correction=AffineCorrection((np.nan,) * 3, (0.0,) * 3))
-    rest = np.zeros((32, 40, 3), np.uint8)
+    rest = np.full((32, 40, 3), 9, np.uint8)
     (row,) = predict_each(broken, [("a.png", rest)], rest)
     assert row["note"].startswith("Fx is not a number; ")
+    assert "the picture is black" in next(predict_each(stage1, [("a.png", rest // 9)], rest))["note"]
     colour = rest + np.uint8([0, 0, 9])
     noted = [
         "the reference is not" in row["note"]

@@ -205,7 +205,8 @@ def test_arrays_are_a_data_set_like_any_other():
     [
         ({"images": np.zeros((6, 6, 8, 3))}, r"images must be uint8 \(n, h, w, 3\), not float64"),
         ({"reference": np.zeros((3, 4, 3), np.uint8)}, r"reference has shape \(3, 4, 3\); 6 images need"),
-        ({"force_n": np.zeros((5, 3))}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
+        ({"reference": np.zeros((6, 8, 3))}, r"and the reference uint8, not float64"),
+        ({"force_n": np.zeros((5, 3)).tolist()}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
         ({"point_id": np.zeros(7, int)}, r"point_id has shape \(7,\)"),
         ({"force_range_n": np.ones((3, 2))}, r"must be \(3, 2\) with lower < upper"),
     ],
@@ -281,8 +282,12 @@ def test_png_is_lossless(shape: tuple[int, ...]):
 def test_a_missing_data_set_says_what_was_looked_for(data: Path, tmp_path: Path):
     with pytest.raises(FileNotFoundError, match=r"does not exist; expected a folder with manifest.json"):
         open_domain(tmp_path / "none")
-    with pytest.raises(FileNotFoundError, match=r"holds the domains mb0i0, mb0i1, wmb0i0"):
+    with pytest.raises(FileNotFoundError, match=r"did you mean mb0i0, mb0i1, wmb0i0"):
         open_domain(data)
+    (tmp_path / "clip/images").mkdir(parents=True)
+    (tmp_path / "clip/images/0.png").touch()
+    with pytest.raises(FileNotFoundError, match=r"did you mean clip/images in it"):
+        open_domain(tmp_path)
 
 
 @pytest.mark.parametrize("pairing", ["channels", "stack", "difference"])

@@ -12,7 +12,7 @@ from gelgap.domains.frames.first_touch import trajectory_of
 from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
 from gelgap.domains.frames.run_labels import force_classes, labels_of_run
-from gelgap.domains.inspection import inspect_domain, label_notes, write_overview
+from gelgap.domains.inspection import frame_notes, inspect_domain, write_overview
 
 
 def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None = None) -> Path:
@@ -211,7 +211,7 @@ def test_wrong_labels_are_refused(names, ranges, message):
 
 def test_inspect_and_adapt_say_the_same_of_forces_that_pull(tmp_path: Path):
     folder = folder_of(tmp_path / "pulled", [{"fz_n": 0.5}, {"fz_n": -2.0}])
-    (note,) = label_notes(open_domain(folder))
+    note, *_ = frame_notes(open_domain(folder))
     assert note.startswith("1 frames have Fz > 0")
     assert note in inspect_domain(folder).notes
 

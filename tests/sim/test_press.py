@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gelgap.sim import press
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
 from gelgap.sim.path import ContactPath, ForcePath
@@ -221,6 +222,15 @@ def test_load_control_finds_the_depth_of_a_force() -> None:
         ValueError, match=r"normal_force_n = 50: must be at most 2.* N, at 1.5 mm, the largest depth"
     ):
         pose_for_force(GEL, BALL, 50.0, quality="draft")
+
+
+def test_a_force_that_no_depth_gives_is_refused_after_one_descent(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends_mm = []
+    found = np.array([0.0, 0.7, 1.5]), np.array([0.0, 0.5, 2.0])
+    monkeypatch.setattr(press, "_descent", lambda end_mm, *_: ends_mm.append(end_mm) or found)
+    with pytest.raises(ValueError, match="must be at most 2 N"):
+        pose_for_force(GEL, BALL, 50.0)
+    assert ends_mm == [1.5]
 
 
 def test_load_control_presses_a_tilted_face_until_all_of_it_touches() -> None:
