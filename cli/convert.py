@@ -48,9 +48,7 @@ class Convert(opt.Command):
         from gelgap.domains.formats.published_sets import LAYOUTS
 
         if self.lag is not None and self.layout == "ball-presses":
-            raise ValueError(
-                f"--lag {self.lag}: the pictures of ball-presses have marks and no times; leave it out"
-            )
+            raise ValueError(f"--lag {self.lag}: pictures of ball-presses have marks, no times; leave it out")
         layout = LAYOUTS.get(self.layout, self.layout)
         clips = domains.convert(self.folder, layout, self.out, self.every, self.lag)
         print(_table(clips))
@@ -94,11 +92,11 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         if not clip.in_contact:
             noted["no force above 0.3 N, so that all is at rest: is its unit right?"].append(name)
         if clip.begins_in_contact:
-            offset = "if nothing touches there, take what the gauge reads off its forces"
-            noted[f"begins with a force, so its reference is its first picture; {offset}"].append(name)
+            noted["begins with a force, so its reference is its first picture; does Fz rest at 0?"].append(
+                name
+            )
         if (clip.correlation_at_0 or 0) < -abs(clip.correlation or 0):
-            what = "pictures change most where the force is least: is Fz's sign right, and 0 at rest?"
-            noted[what].append(name)
+            noted["pictures change most at the least force: is Fz's sign right, and 0 at rest?"].append(name)
         if clip.in_holes:
             noted["pictures without labels, in holes of the log"].append(f"{name} ({clip.in_holes})")
         for note in clip.notes:

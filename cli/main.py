@@ -171,9 +171,7 @@ def main(
             raise
         message = str(error) or type(error).__name__
         if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(message):
-            fail(
-                f"out of memory ({message}): a coarser quality, or fewer workers, need less", EXIT_FAILED_RUN
-            )
+            fail(f"out of memory ({message}): a coarser quality or fewer workers need less", EXIT_FAILED_RUN)
         if isinstance(error, OSError) and error.errno and error.filename is None:
             fail(f"what is printed cannot be written ({error.strerror}); {after}", EXIT_FAILED_RUN)
         is_bad_input = isinstance(error, ValueError | FileNotFoundError | PermissionError)

@@ -158,9 +158,7 @@ def write_picture_table(folder: Path, table: pd.DataFrame) -> None:
         raise ValueError(f"{folder.name}: no frame is left to be written")
     kept = table[[name for name in COLUMNS if name in table]].dropna(axis="columns", how="all")
     if partly := kept.columns[kept.isna().any()].tolist():
-        raise ValueError(
-            f"{folder.name}: only some frames have {', '.join(partly)}; all or none must have them"
-        )
+        raise ValueError(f"{folder.name}: only some frames have {', '.join(partly)}; all or none must")
     kept.to_csv(folder / TABLE, index=False, float_format="%.7g", lineterminator="\r\n")
 
 
@@ -286,9 +284,7 @@ class Clip:
         """
         reduced = [resized(picture, _SIGNAL_PX) for picture in self.pictures()]
         if len(reduced) != len(self.time_s):
-            raise ValueError(
-                f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times of pictures"
-            )
+            raise ValueError(f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times")
         pictures = np.stack(reduced).reshape(len(reduced), -1).astype(np.float32)
         change = np.abs(pictures - pictures[0]).mean(axis=1)
         most = np.argsort(change)[-max(len(pictures) // 10, 1) :]
@@ -388,9 +384,7 @@ def _recorded_clip(table: Path) -> Clip:
     columns, notes = known_columns(table, ("time_s", *QUANTITIES), needed=["time_s"])
     names = known_labels(columns)
     if not set(names) & set(FORCE_COLUMNS):
-        raise ValueError(
-            f"{table} must have the column time_s and one of {', '.join(FORCE_COLUMNS)} at least"
-        )
+        raise ValueError(f"{table} needs the column time_s and one of {', '.join(FORCE_COLUMNS)} at least")
     labels = pd.DataFrame({name: columns[name] for name in names}, columns["time_s"])
     pressed_n = _pressing_n(labels)
     if np.nanmax(pressed_n) < -np.nanmin(pressed_n):

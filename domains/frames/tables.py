@@ -283,9 +283,7 @@ def _unit(header: str, names: Iterable[str], own_unit: str) -> str | None:
     is_unit = stated["gap"] and _row_of_units([told])
     if not known or (stated["appended"] and not is_unit):
         return None
-    raise ValueError(
-        f"column {header!r} states the unit {told!r}: known units are {', '.join(UNITS[own_unit])}"
-    )
+    raise ValueError(f"column {header!r} states the unit {told!r}: known are {', '.join(UNITS[own_unit])}")
 
 
 def _plain_unit(told: str) -> str:

@@ -43,9 +43,7 @@ def enlarged(frames: ArrayFrames) -> ArrayFrames:
 
 
 @pytest.mark.parametrize("changes", INPUTS, ids=str)
-def test_a_picture_is_predicted_as_a_data_sets_frame_and_by_the_onnx_file(
-    changes, source, target, profile, stage1, tmp_path
-):
+def test_a_picture_is_predicted_as_a_frame_and_by_onnx(changes, source, target, profile, stage1, tmp_path):
     stage1.save(tmp_path / "start.pt")
     weights = tmp_path / "start.pt" if changes.get("input") == "pretrained" else None
     chosen = profile.replace(source_epochs=1, **changes)

@@ -47,7 +47,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "mb0i0", "--elastomer", "b1", "--out", "never"], ("--name",)),
         (
             ["generate", "--name", "mb0i0", "--elastomer", "b1", "--out", "never"],
-            ("name", "mb0i0", "presets"),
+            ("mb0i0", "presets"),
         ),
         (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
         (["generate", "papre", "--out", "never"], ("papre", "did you mean paper?")),
@@ -253,7 +253,7 @@ def test_every_preset_is_listed_with_what_it_is(capsys: pytest.CaptureFixture[st
     assert [line for line in presets if len(line.split(maxsplit=1)) < 2] == []
 
 
-def test_help_says_each_default_once(
+def test_help_tells_defaults_once(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")

@@ -125,7 +125,7 @@ def test_no_size_has_more_pixels_than_the_picture():
         resized(np.zeros((240, 320, 3), np.uint8), (0, 100))
 
 
-def test_a_folder_that_cannot_be_written_to_is_cached_for_the_user(
+def test_a_read_only_folder_is_cached_for_the_user(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     shutil.copytree(data / "mb0i1", tmp_path / "read-only", ignore=shutil.ignore_patterns(".cache"))
@@ -217,9 +217,7 @@ def test_arrays_that_do_not_fit_are_refused(changes: dict, message: str):
 
 
 def test_labels_outside_what_is_declared_are_named():
-    with pytest.raises(
-        ValueError, match=r"1 of 6 frames .* first: frame 5, Fz = -0.8333 N, allowed \[-0.7, 0\]"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 6 frames .* frame 5, Fz = -0.8333 N, allowed \[-0.7, 0\]"):
         arrays(force_range_n=np.array([[-1, 1], [-1, 1], [-0.7, 0]])).check_labels()
     with pytest.raises(ValueError, match=r"contact_class spans 0…5, allowed 0…4"):
         arrays(n_classes=5).check_labels()
@@ -321,7 +319,7 @@ def test_a_plain_data_loader_gives_the_same_batches(data: Path):
     assert all(equal(one, other) for pair in batches for one, other in zip(*pair, strict=True))
 
 
-def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
+def test_a_chosen_cache_folder_is_used_and_cleared(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))

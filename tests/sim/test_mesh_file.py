@@ -109,7 +109,7 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
             "far.stl",
             moved(BOX, 1e6),
             {},
-            "so far from its origin that its file's numbers round it to 0.062 mm",
+            "from its origin that its file's numbers round it to 0.062 mm",
         ),
         ("box.stl", BOX, {"unit": "furlong"}, "unit = 'furlong': must be mm, cm, m"),
         ("box.stl", BOX, {"edge_radius_mm": 1.6}, r"edge_radius_mm = 1.6: must be less than 1.5 mm"),
