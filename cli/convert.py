@@ -92,9 +92,7 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         if not clip.in_contact:
             noted["no force above 0.3 N, so that all is at rest: is its unit right?"].append(name)
         if clip.begins_in_contact:
-            noted["begins with a force, so its reference is its first picture; does Fz rest at 0?"].append(
-                name
-            )
+            noted["begins with a force, so its reference is its first picture; is Fz 0 at rest?"].append(name)
         if (clip.correlation_at_0 or 0) < -abs(clip.correlation or 0):
             noted["pictures change most at the least force: is Fz's sign right, and 0 at rest?"].append(name)
         if clip.in_holes:

@@ -95,7 +95,7 @@ def test_trajectories_of_a_table_are_read_and_known_of_every_row_or_refused(tmp_
     assert trajectory_of(frames).tolist() == [0, 0]
     assert frames.columns["step"].tolist() == [1, 0]
     in_part = open_domain(folder_of(tmp_path / "some", [*rows, {"fz_n": -1.0, "trajectory": "", "step": 0}]))
-    with pytest.raises(ValueError, match="data set some lacks trajectory_id in 1 of 3 rows"):
+    with pytest.raises(ValueError, match="some: 1 of 3 rows lack trajectory_id; give all"):
         trajectory_of(in_part)
 
 
