@@ -13,7 +13,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
+from gelgap.adapt.data import Draw, generator, has_other_aspect, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import descend
@@ -111,9 +111,7 @@ def fine_tune(
     """
     _check(model, frames)
     if model.correction is not None:
-        raise ValueError(
-            "a model with an affine correction cannot be fine-tuned: fine-tune first, then correct"
-        )
+        raise ValueError("a model with an affine correction is not fine-tuned: fine-tune first, then correct")
     if model.profile.sequence_length > 1:
         raise ValueError(
             "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
@@ -381,9 +379,12 @@ def finetune(
             f"frames = {frames}, clips = {clips}: give one of the two, how many labelled frames or clips are learnt"
         )
     shown, tested = open_domain(on), open_domain(test)
-    log_notes((shown, tested))
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
+    squeezed = [own.name for own in (shown, tested) if has_other_aspect(own.size_px, model.size_px)]
+    log_notes(
+        (shown, tested), [f"{name} has another aspect than the model: it is squeezed" for name in squeezed]
+    )
     labelled = labelled_frames(with_labels(shown, model.labels))
     others = labelled_frames(with_labels(tested, model.labels))
     unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))

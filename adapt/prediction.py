@@ -10,6 +10,7 @@ from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
 from gelgap.domains import Labels
+from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.formats.pictures import mismatch
 from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
@@ -91,6 +92,8 @@ def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
         If a file is not an image that can be read, or a folder has none.
     """
     for path in paths:
+        if (path / MANIFEST).exists():
+            raise ValueError(f"{path} is a generated domain; gelgap export writes its pictures as files")
         files = picture_files(visible_files(path)) if path.is_dir() else [path]
         if not files:
             raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")

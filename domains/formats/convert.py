@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from gelgap.assets.image_file import read_image, visible_files
+from gelgap.assets.image_file import picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list, is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
-from gelgap.domains.frames.folders import picture_paths, tables_in
+from gelgap.domains.frames.folders import IMAGES, picture_paths, tables_in
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 from gelgap.domains.frames.tables import GROUPS, known_columns
 
@@ -412,10 +412,10 @@ def _recorded_clip(table: Path) -> Clip:
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         of_pictures, notes_of_pictures = known_columns(tables[0], (needed := ("picture", "time_s")), needed)
         notes += notes_of_pictures
-        time_s = of_pictures["time_s"]
-        pictures: Callable[[], Iterable[np.ndarray]] = partial(
-            _pictures_of_one_size, picture_paths(tables[0], of_pictures["picture"])
-        )
+        time_s, paths = of_pictures["time_s"], picture_paths(tables[0], of_pictures["picture"])
+        if left := len({*picture_files(visible_files(source, source / IMAGES))} - {*paths}):
+            notes.append(f"{left} pictures have no row in {tables[0].name}: not read")
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(_pictures_of_one_size, paths)
         _check_order(time_s, tables[0])
         if (repeats := np.flatnonzero(np.diff(time_s) == 0)).size:
             raise ValueError(

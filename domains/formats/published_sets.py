@@ -82,9 +82,7 @@ def _wedge_clips(clone: Path) -> Iterator[Clip]:
             raise ValueError(f"{forces} is missing; {video.name} has its forces there")
         force_n = read_pickled_array(forces)
         if force_n.ndim != 1:
-            raise ValueError(
-                f"{forces} holds an array of shape {force_n.shape}; expected one number a picture"
-            )
+            raise ValueError(f"{forces} holds an array of shape {force_n.shape}, not one number a picture")
         time_s = np.arange(len(force_n)) / PICTURES_PER_S
         labels = pd.DataFrame({"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)}, time_s)
         pictures = partial(_pad_pictures, video, corners)

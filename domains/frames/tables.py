@@ -108,7 +108,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         raise ValueError(f"{path} is not a CSV table in UTF-8 (Excel's 'CSV UTF-8'): {error}") from None
     if len(rows) < 2:
         raise ValueError(f"{path} has no rows")
-    header = rows.pop(0)
+    header = [name.removeprefix("%") for name in rows.pop(0)]  # `rostopic echo -p` writes %time
     if len(header) == 1 and len(rows[0]) == 1 and re.search(r"[|\s][-+\d.]+$", rows[0][0]):
         raise ValueError(
             f"{path}: commas, semicolons or tabs must separate columns; its header is {quoted(header[0])}"
@@ -226,7 +226,9 @@ def _known_columns(
                 notes.append(f"{header!r} is converted to {_own_unit(ours)}")
             largest = np.nanmax(np.abs(values))
             if _own_unit(ours) == "N" and largest > _LARGEST_LIKELY_N:
-                notes.append(f"{header!r} reaches {largest:g} N, beyond any such sensor's: is it in mN?")
+                notes.append(
+                    f"{header!r} reaches {largest:g} N, beyond any sensor: is it in mN, or no value?"
+                )
     for name in needed:
         if name not in found:
             there = ", ".join(header for header, _ in columns if header)
@@ -315,7 +317,7 @@ def _values(ours: str, header: str, cells: list[str], unit: str) -> np.ndarray:
     if ours == "time_s" and not unit and len(steps) and np.median(steps) > _LONGEST_LIKELY_STEP_S:
         raise _UnusableError(
             f"column {header!r} states no unit, and its values are {np.median(steps):g} apart, much for seconds: state "
-            "the unit, as in time_s or time_ms"
+            "the unit, as in time_s or time_ns"
         )
     return numbers * UNITS[_own_unit(ours)].get(unit, 1)
 

@@ -116,7 +116,7 @@ def test_a_clip_that_begins_with_a_force_or_ends_at_the_largest_lag_is_noted(
     lines = capsys.readouterr().out.splitlines()
     (late,) = (line for line in lines if "largest lag" in line)
     (touching,) = (line for line in lines if "begins with a force" in line)
-    (turned,) = (line for line in lines if "change most at the least force" in line)
+    (turned,) = (line for line in lines if "hardly follow the force" in line)
     assert late.endswith(": day/late_1, day/turned_1")
     assert touching.endswith(": day/ball_1, day/turned_1")
     assert turned.endswith(": day/turned_1")

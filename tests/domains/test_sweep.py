@@ -132,7 +132,5 @@ def test_the_gap_says_how_markers_differ():
 
 def test_markers_lie_on_the_pad():
     sensor = Sensor.preset("paper").model_copy(update={"markers": Markers(positions_mm=((0, 0), (13.0, 0)))})
-    with pytest.raises(
-        ValueError, match=r"markers.positions_mm.1 = \(13.0, 0.0\): .* on the pad .* 24 × 20 mm"
-    ):
+    with pytest.raises(ValueError, match=r"markers.positions_mm.1 = \(13.0, 0.0\): .* 24 × 20 mm"):
         make_recipes(["mb0i0"], "smoke", sensor=sensor)
