@@ -111,11 +111,9 @@ def fine_tune(
     """
     _check(model, frames)
     if model.correction is not None:
-        raise ValueError("a model with an affine correction is not fine-tuned: fine-tune first, then correct")
+        raise ValueError("a model with an affine correction cannot be fine-tuned: fine-tune, then correct")
     if model.profile.sequence_length > 1:
-        raise ValueError(
-            "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
-        )
+        raise ValueError("sequence models cannot be fine-tuned: few frames are no trajectory; correct them")
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.input_map)
     force = torch.from_numpy(normalised_labels(frames)).to(model.device)
@@ -333,9 +331,7 @@ class Finetuning:
                 "errors are a share of those: train one whose ranges are like these labels'"
             )
         if self.after.mean_mae_percent >= self.constant_mean.mean_mae_percent:
-            lines.append(
-                "fine-tuning is no better than the mean of the labelled frames: use that, or more labels"
-            )
+            lines.append("fine-tuning is no better than the mean of the labelled frames: use that, or more")
         return "\n".join(lines)
 
 
