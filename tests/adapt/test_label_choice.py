@@ -230,7 +230,7 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--range", "fz_n=-3"], "must be a label, its lower and its upper bound, as fz_n=-30:0"),
+        (["--range", "fz_n=-3"], "must be a label and its two bounds, as fz_n=-30:0"),
         (["--range", "fz_n=-3:0", "fz_n=-4:0"], "one stands twice"),
     ],
 )
