@@ -163,6 +163,10 @@ def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
     ]
 
 
+def has_other_aspect(size_px: tuple[int, int], of_px: tuple[int, int]) -> bool:
+    return abs(size_px[0] * of_px[1] / (size_px[1] * of_px[0]) - 1) > SAME_ASPECT
+
+
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
     """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
@@ -183,7 +187,7 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         f"pictures of {name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px one is "
         "squeezed more than the other; crop them to one aspect"
         for name, w0, h0 in sizes
-        if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
+        if has_other_aspect((w0, h0), (w1, h1))
     ]
     few = [own for own in (*source.members, target) if profile.input in FITTED and len(own) < FEW_TO_FIT]
     notes += [f"input {profile.input}: a map by {len(own)} pictures of {own.name} hardly fits" for own in few]

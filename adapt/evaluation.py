@@ -57,9 +57,7 @@ class Evaluation:
             raise ValueError(f"label {unknown[0]!r} is unknown")
         if {len(self.mae), len(self.mae_percent), len(self.r2)} != {len(self.labels)}:
             names = ", ".join(self.labels)
-            raise ValueError(
-                f"an evaluation has other than {len(self.labels)} numbers for the labels {names}"
-            )
+            raise ValueError(f"it has other than {len(self.labels)} numbers for the labels {names}")
 
     @property
     def unit(self) -> str | None:

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
+from gelgap.adapt.data import Draw, generator, has_other_aspect, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.inputs import FITTED, INPUTS
 from gelgap.adapt.methods.base import descend
@@ -111,13 +111,9 @@ def fine_tune(
     """
     _check(model, frames)
     if model.correction is not None:
-        raise ValueError(
-            "a model with an affine correction cannot be fine-tuned: fine-tune first, then correct"
-        )
+        raise ValueError("a model with an affine correction cannot be fine-tuned: fine-tune, then correct")
     if model.profile.sequence_length > 1:
-        raise ValueError(
-            "a model of sequences cannot be fine-tuned: few frames are no trajectory; correct it instead"
-        )
+        raise ValueError("sequence models cannot be fine-tuned: few frames are no trajectory; correct them")
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.own_map)
     force = torch.from_numpy(normalised_labels(frames)).to(model.device)
@@ -339,9 +335,7 @@ class Finetuning:
                 "errors are a share of those: train one whose ranges are like these labels'"
             )
         if self.after.mean_mae_percent >= self.constant_mean.mean_mae_percent:
-            lines.append(
-                "fine-tuning is no better than the mean of the labelled frames: use that, or more labels"
-            )
+            lines.append("fine-tuning is no better than the mean of the labelled frames: use that, or more")
         return "\n".join(lines)
 
 
@@ -385,9 +379,12 @@ def finetune(
             f"frames = {frames}, clips = {clips}: give one of the two, how many labelled frames or clips are learnt"
         )
     shown, tested = open_domain(on), open_domain(test)
-    log_notes((shown, tested))
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
+    squeezed = [own.name for own in (shown, tested) if has_other_aspect(own.size_px, model.size_px)]
+    log_notes(
+        (shown, tested), [f"{name} has another aspect than the model: it is squeezed" for name in squeezed]
+    )
     labelled = labelled_frames(with_labels(shown, model.labels))
     others = labelled_frames(with_labels(tested, model.labels))
     unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))

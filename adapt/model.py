@@ -11,7 +11,7 @@ from pydantic import FiniteFloat, PositiveInt, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import SAME_ASPECT, Draw, generator, network_inputs
+from gelgap.adapt.data import Draw, generator, has_other_aspect, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import (
     ForceNetwork,
@@ -131,7 +131,7 @@ class ForceModel:
                 f"the picture is {width}×{height} px and the reference {reference.shape[1]}×{reference.shape[0]} px; "
                 "both must be of one size, from the same camera"
             )
-        if abs(width * h0 / (height * w0) - 1) > SAME_ASPECT:
+        if has_other_aspect((width, height), self.size_px):
             raise ValueError(
                 f"the picture is {width}×{height} px; the model is for pictures of {w0}×{h0} px and would be shown a "
                 "squeezed one: crop picture and reference to that aspect"

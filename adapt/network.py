@@ -251,9 +251,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         reason = str(error).partition("\n")[0].partition(". ")[0]
         raise ValueError(f"{path} is not a checkpoint of torch ({type(error).__name__}: {reason})") from None
     if not isinstance(content, dict):
-        raise ValueError(
-            f"{path} is not a checkpoint: it holds {type(content).__name__}, expected a dictionary"
-        )
+        raise ValueError(f"{path} is not a checkpoint: it holds {type(content).__name__}, not a dictionary")
     return content
 
 

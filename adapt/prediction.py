@@ -10,6 +10,8 @@ from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
 from gelgap.domains import Labels
+from gelgap.domains.formats.domain_folder import MANIFEST
+from gelgap.domains.formats.pictures import mismatch
 from gelgap.domains.frames.first_touch import change_of, dent_pixels
 
 NamedPicture = tuple[str, np.ndarray]
@@ -54,14 +56,8 @@ def predict_each(
             change = change_of(picture, reference, model.profile.image_size_px)
             touches.append((touches[-1] or [picture]) if len(dent_pixels(change)) else [])
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
-        notes = [range_note(model.labels, predicted, model.correction)]
-        if _is_grey(picture) and not _is_grey(reference):
-            notes.append("the picture is grey, and the reference is not")
+        notes = [range_note(model.labels, predicted, model.correction), mismatch(picture, reference)]
         yield {"picture": name, **labels, "note": "; ".join(filter(None, notes))}
-
-
-def _is_grey(picture: np.ndarray) -> bool:
-    return bool((picture == picture[..., :1]).all())
 
 
 def range_note(labels: Labels, predicted: np.ndarray, correction: AffineCorrection | None = None) -> str:
@@ -98,6 +94,8 @@ def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
         If a file is not an image that can be read, or a folder has none.
     """
     for path in paths:
+        if (path / MANIFEST).exists():
+            raise ValueError(f"{path} is a generated domain; gelgap export writes its pictures as files")
         files = picture_files(visible_files(path)) if path.is_dir() else [path]
         if not files:
             raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")

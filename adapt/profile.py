@@ -129,9 +129,7 @@ class Profile(PresetSettings):
     @model_validator(mode="after")
     def _shows_what_it_can(self) -> "Profile":
         if self.shift_px and self.pairing == "stack":
-            raise ValueError(
-                "shift_px: must be 0 with pairing 'stack', which has the reference below the picture"
-            )
+            raise ValueError("shift_px: must be 0 with pairing 'stack', whose reference is below the picture")
         if (shown := INPUTS.get(self.input)) is None:
             raise ValueError(unknown_name("input", self.input, INPUTS))
         if shown.needs_difference and self.pairing != "difference":
@@ -143,9 +141,7 @@ class Profile(PresetSettings):
                 f"input {self.input}: shows no pictures with and without markers; marker_hiding must be 0"
             )
         if shown.from_touch and self.shift_px:
-            raise ValueError(
-                f"input {self.input}: shows how far a dent is from its place; shift_px must be 0"
-            )
+            raise ValueError(f"input {self.input}: shows how far a dent is off its place; shift_px must be 0")
         return self
 
     @property

@@ -111,9 +111,7 @@ def adapt_folders(
     targets = [own if isinstance(own, LabelledFrames) else open_domain(own) for own in _listed(target)]
     for names in ([own.name for own in targets], [own.name for own in profiles]):
         if len(set(names)) < len(names):
-            raise ValueError(
-                f"{', '.join(names)}: results are filed by name, and two have the same; rename one"
-            )
+            raise ValueError(f"{', '.join(names)}: results are filed by name, two have the same; rename one")
     out = None if out_dir is None else Path(out_dir)
     groups: list[tuple[LabelledFrames, Group]] = []
     stages: dict[tuple[str, str], Stage1] = {}

@@ -162,7 +162,7 @@ def stated_size_px(data: bytes) -> tuple[int, int]:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
             image.verify()
     except UnidentifiedImageError:
-        raise ValueError("it is neither PNG, JPEG, BMP nor TIFF, or its header is damaged") from None
+        raise ValueError("it is neither PNG, JPEG, BMP nor TIFF of 8 or 16 bits, or is damaged") from None
     except Image.DecompressionBombError:
         raise ValueError(f"it has more than {MOST_PIXELS} pixels") from None
     except (OSError, SyntaxError, ValueError, struct.error) as error:

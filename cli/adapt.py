@@ -40,9 +40,7 @@ def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
             name, bounds = text.split("=")
             low, high = map(float, bounds.split(":"))
         except ValueError:
-            raise ValueError(
-                f"{quoted(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
-            ) from None
+            raise ValueError(f"{quoted(text)} must be a label and its two bounds, as fz_n=-30:0") from None
         named.append((name, (low, high)))
     labels = domains.Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
     return dict(zip(labels.names, labels.ranges, strict=True))

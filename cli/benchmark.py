@@ -47,9 +47,7 @@ class Benchmark(opt.Command):
     Example: gelgap benchmark physics --quick
     """
 
-    when_stopped = (
-        "what keeps records goes on from them, the rest is measured anew; run the same command again"
-    )
+    when_stopped = "what keeps records goes on from them, all else is measured anew; run the command again"
     fills_cache = True
 
     subject: Annotated[

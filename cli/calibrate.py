@@ -29,9 +29,7 @@ HELD_OUT = {
     "marked": "predicted, press as marked",
     "refined": "predicted, press refined",
 }
-ASSUMED = (
-    "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
-)
+ASSUMED = "Sizes and distances of LEDs, whose direction pictures hold; the gel around the presses; noise."
 FOLDS = 3
 """Of the cross-validation: presses of each are predicted by a fit without them."""
 DIFFERENCE_GAIN = 4
@@ -43,9 +41,7 @@ NEARLY_PARALLEL_MM = 200
 def check_mm_per_px(value: float) -> None:
     """Raise ValueError for a scale that is none; pixels per mm, which other programs ask for, are more than 1."""
     if value > 1:
-        raise ValueError(
-            f"must lie in [0.001, 1] mm per pixel; {value:g} pixels per mm are {1 / value:.3g} mm per pixel"
-        )
+        raise ValueError(f"must lie in [0.001, 1]; {value:g} pixels per mm are {1 / value:.3g} mm per pixel")
     opt.between(0.001, 1, "mm per pixel")(value)
 
 
@@ -87,9 +83,7 @@ class Calibrate(opt.Command):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.OutputFile(".toml")] = Path("fitted.toml")
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it. With --predict
     only pictures are written, to a folder of its name with -predicted."""
-    reference: Annotated[Path | None, opt.optional("PATH", "the list's, the folder's or the package's")] = (
-        None
-    )
+    reference: Annotated[Path | None, opt.optional("PATH", "the list's, folder's or package's")] = None
     """Picture without contact."""
     sensor: Annotated[str | None, opt.optional("NAME")] = None
     """Where the fit starts, instead of --mm-per-px: a sensor preset or TOML file; its LEDs within 30°, or none. With
@@ -127,10 +121,8 @@ class Calibrate(opt.Command):
         )
         report = report_lines(fit)
         known = "; ".join(line.strip().rstrip(":") for line in report)
-        described = fit.sensor.model_copy(
-            update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED}
-        )
-        fitted = save_calibration(replace(fit, sensor=described), self.out)
+        named = fit.sensor.model_copy(update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED})
+        fitted = save_calibration(replace(fit, sensor=named), self.out)
         print(f"wrote {self.out} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
@@ -204,9 +196,7 @@ class Calibrate(opt.Command):
         reference = self.reference or (path.parent / listed.reference if listed.reference else None)
         mm_per_px = self.mm_per_px or (listed.mm_per_px if self.sensor is None else None)
         if reference is None or (self.sensor is None) == (mm_per_px is None):
-            raise ValueError(
-                f"{path}: beside a list of presses, calibrate needs --reference, and either --mm-per-px or --sensor"
-            )
+            raise ValueError(f"{path}: a list of presses needs --reference, and --mm-per-px or --sensor")
         presses, picture = listed.pictures(path.parent), read_image(reference)
         camera = render.Camera.showing(picture.shape[1] * mm_per_px) if mm_per_px else render.Camera()
         start = render.Sensor(name=self.out.stem, camera=camera, markers=render.Markers(layout="none"))
@@ -271,9 +261,7 @@ def report_lines(fit: "LightCalibration") -> list[str]:
     lines.append(f"camera about {distance_mm:.0f} mm from the gel{parallel}, {blur}")
     depths = fit.poses_mm[:, 2]
     if fit.at_limits:
-        lines.append(
-            f"at an end of the range that is searched, so that it may lie beyond: {', '.join(fit.at_limits)}"
-        )
+        lines.append(f"at an end of the range searched, so it may lie beyond: {', '.join(fit.at_limits)}")
     lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
     return lines
 

@@ -1,6 +1,7 @@
 """`--set KEY=VALUE`: single fields of settings, by the names that they have in TOML files."""
 
 import contextlib
+import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ Meanings = dict[str, str]
 Words = tuple[tuple[str, ...], ...]
 """What stands behind each `--set`."""
 
+_LIKE_A_NUMBER = re.compile("(?P<number>[-+]?[0-9]+[.,]?[0-9]*)(?P<unit>([µumc]?m|m?N|deg|°|px|s)?)")
 Set = Annotated[
     Words,
     tyro.conf.UseAppendAction,
@@ -97,12 +99,15 @@ def keys_listing(keys: Mapping[str, Meanings]) -> str:
     return "\n".join(lines)
 
 
-def advice_on_keys(words: tuple[str, ...], keys: Mapping[str, Meanings]) -> str:
-    """Return how a value is set that is given as if its key was an option; nothing if none is."""
+def advice_on(words: tuple[str, ...], keys: Mapping[str, Meanings]) -> str:
+    """Return how a value is set that is given as if its key was an option, or how numbers are written; else nothing."""
     known = {key for meanings in keys.values() for key in meanings}
     said = []
     for number, word in enumerate(words):
         option, _, value = word.partition("=")
+        if (like := _LIKE_A_NUMBER.fullmatch(value or word)) and ("," in word or like["unit"]):
+            plain = like["number"].replace(",", ".")
+            return f"{like[0]}: write {plain}, with a decimal point and without a unit"
         key = option.removeprefix("--").replace("-", "_")
         if option.startswith("--") and key in known:
             value = value or next(iter(words[number + 1 :]), "VALUE")

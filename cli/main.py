@@ -24,7 +24,7 @@ from gelgap.cli.export_model import ExportModel
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
-from gelgap.cli.keys import advice_on_keys, keys_listing
+from gelgap.cli.keys import advice_on, keys_listing
 from gelgap.cli.options import Command, check_values, output_folder
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
@@ -103,7 +103,7 @@ def _parse_command(name: str, words: tuple[str, ...]) -> Command:
     try:
         return tyro.cli(command, prog=f"gelgap {name}", args=words, description=description)
     except SystemExit as stop:
-        if stop.code == EXIT_BAD_INPUT and (advice := advice_on_keys(words, command.keys())):
+        if stop.code == EXIT_BAD_INPUT and (advice := advice_on(words, command.keys())):
             fail(advice, EXIT_BAD_INPUT)
         raise
 
@@ -171,9 +171,7 @@ def main(
             raise
         message = str(error) or type(error).__name__
         if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(message):
-            fail(
-                f"out of memory ({message}): a coarser quality, or fewer workers, need less", EXIT_FAILED_RUN
-            )
+            fail(f"out of memory ({message}): a coarser quality or fewer workers need less", EXIT_FAILED_RUN)
         if isinstance(error, OSError) and error.errno and error.filename is None:
             fail(f"what is printed cannot be written ({error.strerror}); {after}", EXIT_FAILED_RUN)
         is_bad_input = isinstance(error, ValueError | FileNotFoundError | PermissionError)

@@ -193,9 +193,7 @@ def check_values(command: Command) -> None:
         if path is not None and any(isinstance(note, OutputFile) for note in notes):
             first = written.setdefault(path.resolve(), name)
             if first != name:
-                raise ValueError(
-                    f"{first} and {name} name the same file, {path.resolve()}: give each its own"
-                )
+                raise ValueError(f"{first} and {name} name the same file {path.resolve()}: give each its own")
 
 
 def _options(options: Any) -> Iterator[tuple[str, Any, list[Any]]]:

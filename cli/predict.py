@@ -41,9 +41,7 @@ class Predict(opt.Command):
     def run(self, started: float) -> None:
         """Predict, print a table, and write it if asked."""
         if (self.camera is None) == (not self.pictures):
-            raise ValueError(
-                "name a model, and after it either pictures or folders, or a camera (--camera 0)"
-            )
+            raise ValueError("name a model, and after it pictures or folders, or a camera (--camera 0)")
         import pandas as pd
 
         from gelgap.assets.image_file import read_image

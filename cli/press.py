@@ -70,7 +70,7 @@ class Press(opt.Command):
     """How finely mesh and load steps resolve the contact."""
     json: opt.Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile()] = None
+    save: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
     traction: Annotated[Path | None, opt.optional("PATH"), opt.OutputFile(".npz")] = None
     """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""

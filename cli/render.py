@@ -52,7 +52,7 @@ class Render(opt.Command):
         import cv2
         import numpy as np
 
-        from gelgap.render.imaging import sensor_noise
+        from gelgap.render.imaging import sensor_noise, warn_if_blind
 
         try:
             state = sim.MembraneState.load(self.state)
@@ -75,8 +75,8 @@ class Render(opt.Command):
                 np.save(file, linear)
         if self.seed is not None:
             linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.seed))
-        _, picture = cv2.imencode(self.out.suffix, render.encode(linear)[..., ::-1])
-        write_whole(self.out, picture.tobytes())
+        warn_if_blind(picture := render.encode(linear))
+        write_whole(self.out, cv2.imencode(self.out.suffix, picture[..., ::-1])[1].tobytes())
         print(f"wrote {self.out}" + (f" and {self.linear}" if self.linear else ""))
 
     def _write_height_map(self, height_mm: "np.ndarray") -> None:

@@ -1,5 +1,6 @@
 """What a data set holds: counts, ranges, what is unusual, whether its files are intact, and one page that shows it."""
 
+import contextlib
 import io
 import json
 import logging
@@ -14,7 +15,7 @@ from gelgap.assets import html_page
 from gelgap.assets.image_file import decode_image, stated_size_px
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
-from gelgap.domains.formats.pictures import encode_png
+from gelgap.domains.formats.pictures import encode_png, mismatch
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import PictureFiles, open_domain
 from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_labels
@@ -26,7 +27,7 @@ from gelgap.domains.sweep import domain_gap, unseen_differences
 from gelgap.render.imaging import picture_gap
 
 LOG = logging.getLogger(__name__)
-_MOST_SAMPLES = 14
+_MOST_SAMPLES, _COMPARED = 14, 5
 _SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -71,7 +72,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         values = values[np.isfinite(values)] + 0.0 if np.isfinite(values).any() else np.zeros(1)
         low, high = labels[name] = float(values.min()), float(values.max())
         told.append(f"{symbol} {low:.3f}…{high:.3f} {unit}")
-    notes = [*frames.notes, *label_notes(frames)]
+    notes = [*frames.notes, *frame_notes(frames)]
     # Generated pictures were compared with their manifest.
     if not is_generated and (damages := picture_damages(frames)):
         notes.append(f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}")
@@ -179,16 +180,22 @@ def _colours(mean: float, percentile_95: float) -> str:
 
 def log_notes(data_sets: Iterable[LabelledFrames], further: Iterable[str] = ()) -> None:
     """Say once what is unusual about data sets, each by its name, and further sentences."""
-    notes = [f"{own.name}: {note}" for own in data_sets for note in (*own.notes, *label_notes(own))]
+    notes = [f"{own.name}: {note}" for own in data_sets for note in (*own.notes, *frame_notes(own))]
     for note in dict.fromkeys((*notes, *further)):
         LOG.warning("%s", note)
 
 
-def label_notes(frames: LabelledFrames) -> list[str]:
-    """Return what is unusual about labels, in sentences: forces that pull the sensor."""
+def frame_notes(frames: LabelledFrames) -> list[str]:
+    """Return what is unusual about frames, in sentences: forces that pull, pictures that their reference is not of."""
+    notes = []
     if pulling := int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum()):
-        return [f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one"]
-    return []
+        notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
+    for index in np.unique(np.linspace(0, len(frames) - 1, _COMPARED).astype(int)) if len(frames) else ():
+        with contextlib.suppress(OSError, RuntimeError, ValueError):  # of damage others tell
+            reference = frames.rest_pictures[frames.reference_id[index]]()
+            if problem := mismatch(frames.picture(index), reference):
+                return [*notes, f"{problem} (frame {index})"]
+    return notes
 
 
 def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:

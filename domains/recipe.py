@@ -219,9 +219,7 @@ class DomainRecipe(Settings):
         if self.contacts == "paired":
             return self.path.poses
         if isinstance(self.path, PosePath):
-            raise ValueError(
-                f"contacts = 'independent': needs a path on a grid, and {self.path.name} lists its poses"
-            )
+            raise ValueError(f"contacts = 'independent': needs a grid, and {self.path.name} lists its poses")
         return independent_poses(self.path, self.seed, self.picture_name)
 
     def drawn_errors(self) -> DrawnErrors:
@@ -374,9 +372,7 @@ def own_recipe(
         If the name is not one for a folder or means a domain of presets, or for a bad value.
     """
     if any(domain.name == name and domain.illumination != OWN_LIGHT for domain in known_domains()):
-        raise ValueError(
-            f"name = {name!r}: means a domain of presets; choose another, for example {name}-own"
-        )
+        raise ValueError(f"name = {name!r}: means a domain of presets; choose another, as {name}-own")
     own = {"name": name, "elastomer": elastomer, "illumination": illumination}
     settings |= {field: value for field, value in own.items() if value is not None}
     (recipe,) = make_recipes([base], path, **settings | {"inpainted": ()})

@@ -35,9 +35,7 @@ class Factor(Settings):
     field: str
     change: Literal["set", "scale", "shift"] = "set"
     values: tuple[Value, ...] = Field(default=(), description="values for grid and one-at-a-time")
-    range: RisingInterval | None = Field(
-        default=None, description="lowest and highest value for a Latin hypercube"
-    )
+    range: RisingInterval | None = Field(default=None, description="bounds for a Latin hypercube")
 
 
 class Sweep(Settings):
@@ -50,9 +48,7 @@ class Sweep(Settings):
     samples: Annotated[int, Field(ge=1, le=10_000)] = Field(
         default=8, description="number of variants of a Latin hypercube, and of draws without factors"
     )
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="seed of the Latin hypercube and the draws"
-    )
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of Latin hypercube and draws")
     factors: tuple[Factor, ...] = ()
     variation: Variation | None = Field(
         default=None,

@@ -1,5 +1,6 @@
 """From light on the membrane to the camera's picture: gathering, lens, noise, sRGB; and pictures compared."""
 
+import logging
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -8,7 +9,9 @@ import numpy as np
 
 from gelgap.render.camera import Camera
 
+LOG = logging.getLogger(__name__)
 _LINEAR_LEVELS = 1 << 16
+_DARKEST, _BRIGHTEST = 8, 247
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
@@ -76,6 +79,13 @@ def encode(linear: np.ndarray) -> np.ndarray:
     out = np.empty(linear.shape, np.uint8)
     _encode(np.ascontiguousarray(linear, np.float32).reshape(-1), _SRGB_CODE, out.reshape(-1))
     return out
+
+
+def warn_if_blind(picture: np.ndarray) -> None:
+    """Warn of an 8-bit picture in which nothing is seen."""
+    if not _DARKEST < (level := picture.mean()) < _BRIGHTEST:
+        what = "sees hardly any light" if level < 128 else "is saturated"
+        LOG.warning("the camera %s: check places (mm), facing and drive of the LEDs, and the camera's", what)
 
 
 def point_spread(linear: np.ndarray, camera: Camera) -> np.ndarray:

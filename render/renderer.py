@@ -239,7 +239,9 @@ class MembraneRenderer:
 
     def reference(self, markers: bool = True, rng: np.random.Generator | None = None) -> np.ndarray:
         """Return the `picture` of the undeformed membrane."""
-        return self._encoded(self.reference_linear(markers), rng)
+        picture = self._encoded(self.reference_linear(markers), rng)
+        imaging.warn_if_blind(picture)
+        return picture
 
     def height_map_mm(
         self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"

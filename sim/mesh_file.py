@@ -137,6 +137,10 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
             f"is {size_mm:.6g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
             f"set unit: {', '.join(served) or 'no unit makes it so'}"
         )
+    if (rounded_mm := size_mm / size * np.spacing(np.float32(abs(mesh.bounds).max()))) > SAME_MM:
+        raise ValueError(
+            f"is so far from its origin that its file's numbers round it to {rounded_mm:.2g} mm: move it there"
+        )
     mesh.vertices *= size_mm / size
     if suffix in _GLTF_SUFFIXES:  # y is up (glTF 2.0, 3.4)
         mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, -1, 1]

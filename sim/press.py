@@ -15,6 +15,7 @@ from gelgap.sim.solved import SolvedPose
 # Load control ends within this share of its force, or gives up after this many corrections of the depth.
 _FORCE_TOLERANCE = 0.01
 _DEPTH_CORRECTIONS = 4
+_MOST_OF_EXPECTED = 2
 
 
 def solve_pose(
@@ -87,9 +88,7 @@ def pose_for_force(
         if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
         sought *= normal_force_n / max(reached, normal_force_n / 2)  # a press of nanometres may reach 0 N
-    raise RuntimeError(
-        f"load control did not come within {100 * _FORCE_TOLERANCE:g} % of {normal_force_n:g} N"
-    )
+    raise RuntimeError(f"load control is not within {100 * _FORCE_TOLERANCE:g} % of {normal_force_n:g} N")
 
 
 def path_on_gel(
@@ -122,7 +121,8 @@ def _depths_by_force(
     if deepest <= shallowest:
         raise ValueError(f"{named}: no depth on this gel lets all of the indenter ({indenter.label}) touch")
     usual = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm, deepest)
-    for end in (usual, deepest) if shallowest < usual < deepest else (deepest,):
+    reaches = most_n < _MOST_OF_EXPECTED * expected_force_n(elastomer, indenter, usual)
+    for end in (usual, deepest) if shallowest < usual < deepest and reaches else (deepest,):
         depths, force = _descent(end, elastomer, indenter, point_mm, quality)
         if force[-1] >= most_n:
             # Force grows about as a power of the depth, a line in logarithms, which goes on far below the first step.

@@ -249,7 +249,7 @@ def test_generation_survives_the_end_of_a_worker(inputs: Path, tmp_path: Path, u
     assert files_of(tmp_path) == expected
 
 
-def test_a_refused_write_is_one_sentence_and_loses_nothing(
+def test_a_refused_write_loses_nothing_and_says_so(
     inputs: Path, tmp_path: Path, undisturbed: Callable
 ) -> None:
     expected, _ = undisturbed("generate")

@@ -256,9 +256,7 @@ def replace_shard(folder: Path, change: Callable[[pa.Table], pa.Table]) -> Path:
 
 
 @pytest.mark.parametrize("name", SHARDS)
-def test_a_shard_that_generation_never_writes_is_refused_before_it_takes_memory(
-    files: Path, name: str
-) -> None:
+def test_a_shard_as_generation_never_writes_is_refused_before_it_takes_memory(files: Path, name: str) -> None:
     change, reason = SHARDS[name]
     folder = files / "data" / DOMAIN
     shard = replace_shard(folder, change)
@@ -269,9 +267,7 @@ def test_a_shard_that_generation_never_writes_is_refused_before_it_takes_memory(
         export(folder, "huggingface", files / "out")
 
 
-def test_a_picture_bomb_that_its_manifest_vouches_for_is_found(
-    files: Path, refused: Callable[..., str]
-) -> None:
+def test_a_picture_bomb_in_a_manifest_is_found(files: Path, refused: Callable[..., str]) -> None:
     folder = files / "data" / DOMAIN
     assert verify_domain(folder) == ()
     shard = replace_shard(folder, with_bomb)

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from gelgap.assets.image_file import read_image, visible_files
+from gelgap.assets.image_file import picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list, is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
-from gelgap.domains.frames.folders import picture_paths, tables_in
+from gelgap.domains.frames.folders import IMAGES, picture_paths, tables_in
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 from gelgap.domains.frames.tables import GROUPS, known_columns
 
@@ -158,9 +158,7 @@ def write_picture_table(folder: Path, table: pd.DataFrame) -> None:
         raise ValueError(f"{folder.name}: no frame is left to be written")
     kept = table[[name for name in COLUMNS if name in table]].dropna(axis="columns", how="all")
     if partly := kept.columns[kept.isna().any()].tolist():
-        raise ValueError(
-            f"{folder.name}: only some frames have {', '.join(partly)}; all or none must have them"
-        )
+        raise ValueError(f"{folder.name}: only some frames have {', '.join(partly)}; all or none must")
     kept.to_csv(folder / TABLE, index=False, float_format="%.7g", lineterminator="\r\n")
 
 
@@ -286,9 +284,7 @@ class Clip:
         """
         reduced = [resized(picture, _SIGNAL_PX) for picture in self.pictures()]
         if len(reduced) != len(self.time_s):
-            raise ValueError(
-                f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times of pictures"
-            )
+            raise ValueError(f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times")
         pictures = np.stack(reduced).reshape(len(reduced), -1).astype(np.float32)
         change = np.abs(pictures - pictures[0]).mean(axis=1)
         most = np.argsort(change)[-max(len(pictures) // 10, 1) :]
@@ -388,15 +384,14 @@ def _recorded_clip(table: Path) -> Clip:
     columns, notes = known_columns(table, ("time_s", *QUANTITIES), needed=["time_s"])
     names = known_labels(columns)
     if not set(names) & set(FORCE_COLUMNS):
-        raise ValueError(
-            f"{table} must have the column time_s and one of {', '.join(FORCE_COLUMNS)} at least"
-        )
+        raise ValueError(f"{table} needs the column time_s and one of {', '.join(FORCE_COLUMNS)} at least")
     labels = pd.DataFrame({name: columns[name] for name in names}, columns["time_s"])
     pressed_n = _pressing_n(labels)
     if np.nanmax(pressed_n) < -np.nanmin(pressed_n):
         raise ValueError(
             f"{table}: fz_n reaches {-np.nanmin(pressed_n):.3g} N and no less than {-np.nanmax(pressed_n):.3g} N; in "
-            "compression Fz must be negative (the force of the indenter on the sensor): turn its sign"
+            "compression Fz must be negative (the force of the indenter on the sensor): turn its sign, or take off "
+            "what the gauge reads at rest"
         )
     _check_order(columns["time_s"], table)
     if repeated := int(labels.index.duplicated().sum()):
@@ -417,10 +412,10 @@ def _recorded_clip(table: Path) -> Clip:
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         of_pictures, notes_of_pictures = known_columns(tables[0], (needed := ("picture", "time_s")), needed)
         notes += notes_of_pictures
-        time_s = of_pictures["time_s"]
-        pictures: Callable[[], Iterable[np.ndarray]] = partial(
-            _pictures_of_one_size, picture_paths(tables[0], of_pictures["picture"])
-        )
+        time_s, paths = of_pictures["time_s"], picture_paths(tables[0], of_pictures["picture"])
+        if left := len({*picture_files(visible_files(source, source / IMAGES))} - {*paths}):
+            notes.append(f"{left} pictures have no row in {tables[0].name}: not read")
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(_pictures_of_one_size, paths)
         _check_order(time_s, tables[0])
         if (repeats := np.flatnonzero(np.diff(time_s) == 0)).size:
             raise ValueError(

@@ -25,9 +25,7 @@ SHARDS = "frames-*.parquet"
 
 def _plain(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", name):
-        raise ValueError(
-            "must be of letters a to z, digits and . _ + -, without spaces or accents, no sign first"
-        )
+        raise ValueError("must be letters a to z, digits and . _ + -, no spaces or accents, no sign first")
     return name
 
 

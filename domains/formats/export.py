@@ -75,21 +75,15 @@ def export(
     if format_name not in FORMATS:
         raise ValueError(f"format {quoted(format_name)} is unknown; known formats: {', '.join(FORMATS)}")
     if license is not None and format_name != _WITH_CARD:
-        raise ValueError(
-            f"license {quoted(license)} has no place in format {format_name}; {_WITH_CARD} has a card for it"
-        )
+        raise ValueError(f"license {quoted(license)} has no place in {format_name}: {_WITH_CARD} has a card")
     if license is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9.+-]{1,63}", license):
-        raise ValueError(
-            f"license {quoted(license)} must be an identifier such as apache-2.0, cc-by-4.0 or other"
-        )
+        raise ValueError(f"license {quoted(license)} must be an identifier such as apache-2.0 or cc-by-4.0")
     out_dir = Path(out_dir)
     check_is_new(out_dir)
     domains = [open_domain(path) for path in domain_folders(folder)]
     others = [frames.name for frames in domains if not isinstance(frames, GeneratedDomain)]
     if others and format_name == _WITH_CARD:
-        raise ValueError(
-            f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
-        )
+        raise ValueError(f"data set {others[0]} is not in gelgap's format, which this export needs")
     if format_name == "paper" and (several := [own.name for own in domains if len(own.rest_pictures) > 1]):
         raise ValueError(f"data set {several[0]} has several references, paper one: export as webdataset")
     if split_by is not None:

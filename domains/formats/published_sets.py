@@ -82,9 +82,7 @@ def _wedge_clips(clone: Path) -> Iterator[Clip]:
             raise ValueError(f"{forces} is missing; {video.name} has its forces there")
         force_n = read_pickled_array(forces)
         if force_n.ndim != 1:
-            raise ValueError(
-                f"{forces} holds an array of shape {force_n.shape}; expected one number a picture"
-            )
+            raise ValueError(f"{forces} holds an array of shape {force_n.shape}, not one number a picture")
         time_s = np.arange(len(force_n)) / PICTURES_PER_S
         labels = pd.DataFrame({"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)}, time_s)
         pictures = partial(_pad_pictures, video, corners)
@@ -98,9 +96,7 @@ def _pad_pictures(video: Path, corners_px: Corners) -> Iterator[np.ndarray]:
 def _pad_corners(clone: Path) -> Corners:
     table = clone / _CORNERS
     if not table.is_file():
-        raise ValueError(
-            f"{clone} is no clone of EstimateModulus: it has no {_CORNERS}; get one: {WEDGE_CLONE}"
-        )
+        raise ValueError(f"{clone} is no clone of EstimateModulus: it has no {_CORNERS}; get: {WEDGE_CLONE}")
     columns = dict(read_table(table))
     try:
         rows = [columns["Name"].index(name) for name in _CORNER_NAMES]
@@ -169,9 +165,7 @@ def _ball_presses(clone: Path, name: str, every: int) -> Selection:
     folder, (prefix, ball_radius_mm) = clone / "data" / name, SERIES[name]
     paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
     if not paths:
-        raise ValueError(
-            f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
-        )
+        raise ValueError(f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get: {BALL_CLONE}")
     pictures = np.stack([rectified(read_image(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
     centers_px = np.array([_center_px(path) for path in paths])
     # As a ball touches each place in few of them. The repository's `bg-0.jpg` is the same file in all series: some

@@ -350,13 +350,16 @@ class ArrayFrames(LabelledFrames):
     ):
         self.name, self.n_classes, self.cameras = name, n_classes, (camera,)
         self.force_range_n = np.asarray(force_range_n, float)
-        self._images = images
+        self._images = images = np.asarray(images)
+        reference = np.asarray(reference)
         self.rest_pictures = [partial(np.asarray, reference)]
-        numbers = {"contact_class": contact_class, "point_id": point_id}
-        columns |= {label: values for label, values in numbers.items() if values is not None}
-        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
+        force_n = None if force_n is None else np.asarray(force_n, float)
+        further = columns | {"contact_class": contact_class, "point_id": point_id}
+        columns = {label: np.asarray(values) for label, values in further.items() if values is not None}
+        if images.ndim != 4 or images.shape[3] != 3 or not images.dtype == reference.dtype == np.uint8:
             raise ValueError(
-                f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
+                f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}, and the "
+                f"reference uint8, not {reference.dtype}"
             )
         n, shape = len(images), images.shape[1:]
         expected = {"reference": shape, "force_n": (n, 3), "force_range_n": (3, 2)}

@@ -34,9 +34,7 @@ def trajectory_of(frames: LabelledFrames) -> np.ndarray:
                 f"{TRAJECTORY} and {STEP} of each frame"
             )
         if unknown := int((frames.columns[name] < 0).sum()):
-            raise ValueError(
-                f"data set {frames.name} lacks {name} in {unknown} of {len(frames)} rows; give all or none"
-            )
+            raise ValueError(f"{frames.name}: {unknown} of {len(frames)} rows lack {name}; give all or none")
     keys = np.stack([frames.reference_id, frames.columns[TRAJECTORY], frames.columns[STEP]], axis=1)
     found, count = np.unique(keys, axis=0, return_counts=True)
     if len(twice := found[count > 1]):

@@ -14,7 +14,7 @@ import numpy as np
 
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.image_file import SUFFIXES, picture_files, visible_files
-from gelgap.assets.names import stays_inside
+from gelgap.assets.names import comma_list, stays_inside
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames
@@ -101,12 +101,18 @@ def _layout_problem(folder: Path, files: list[Path], pictures: list[Path]) -> st
         if sheets and not any(map(_is_reference, files)):
             return f"has pictures and no CSV table: save {', '.join(sheets)} as CSV, with a column picture"
         return None
-    inside = inside or sorted({path.parent.name for path in folder.glob(f"*/*{TABLES[0]}")})
+    for deeper in ("*/*", "*/*/*"):
+        found = (path for path in folder.glob(deeper) if path.suffix.lower() in (*TABLES, *SUFFIXES))
+        inside = inside or sorted({str(path.parent.relative_to(folder)) for path in found})
     what = "does not exist" if not folder.exists() else "is not a data set"
-    hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
+    hint = (
+        f"did you mean {comma_list(inside)} in it?"
+        if inside
+        else "arrays are made one by gelgap.domains.ArrayFrames"
+    )
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
-        f"(the published layout), or with pictures ({', '.join(SUFFIXES)}) and at most one CSV table{hint}"
+        f"(the published layout), or with pictures ({', '.join(SUFFIXES)}) and at most one CSV table; {hint}"
     )
 
 

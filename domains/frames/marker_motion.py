@@ -46,9 +46,7 @@ class MarkerTracker:
         median = np.median(areas) if len(areas) else 0.0
         usual = (areas > 0.4 * median) & (areas < 2.5 * median)
         if (count := np.count_nonzero(usual)) < FEWEST_MARKERS:
-            raise ValueError(
-                f"the reference shows {count} markers; their motion needs {FEWEST_MARKERS} or more"
-            )
+            raise ValueError(f"the reference shows {count} markers; motion needs {FEWEST_MARKERS} or more")
         self._rest_px, self._areas = places[usual], areas[usual]
         self._start, self._neighbours = Delaunay(self._rest_px).vertex_neighbor_vertices
         self._spacing_px = cKDTree(self._rest_px).query(self._rest_px, k=2)[0][:, 1]

@@ -109,9 +109,7 @@ def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
         If there are fewer than two classes or more classes than frames.
     """
     if not 2 <= count <= len(train):
-        raise ValueError(
-            f"classes from force = {count}: must lie in [2, {len(train)}], the number of training frames"
-        )
+        raise ValueError(f"classes from force = {count}: must lie in [2, {len(train)}], the training frames")
     names = train.labels.names
     values = train.label_values[:, names.index("fz_n") if "fz_n" in names else 0]
     inner = np.quantile(values, np.arange(1, count) / count)

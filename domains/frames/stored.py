@@ -162,9 +162,7 @@ class GeneratedDomain(StoredFrames):
             )
         names = sorted(name for name in self.manifest["files"] if name != REFERENCE)
         if not names or REFERENCE not in self.manifest["files"]:
-            raise RuntimeError(
-                f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
-            )
+            raise RuntimeError(f"{files.manifest_path} names no frames; generate it again with --overwrite")
         # A changed label would train a model, and no one would see it.
         for damage in files.damaged_files(self.manifest):
             raise damaged(self.folder / damage.file, damage.problem)

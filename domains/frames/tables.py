@@ -91,9 +91,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         If it is too large, no such table, has a row of another length than the header, or 1,000 may be a thousand.
     """
     if path.stat().st_size > MOST_BYTES:
-        raise ValueError(
-            f"{path} has {path.stat().st_size >> 20} MiB; tables have at most {MOST_BYTES >> 20} MiB"
-        )
+        raise ValueError(f"{path} has {path.stat().st_size >> 20} MiB; allowed are {MOST_BYTES >> 20}")
     data = path.read_bytes()
     is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -108,7 +106,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         raise ValueError(f"{path} is not a CSV table in UTF-8 (Excel's 'CSV UTF-8'): {error}") from None
     if len(rows) < 2:
         raise ValueError(f"{path} has no rows")
-    header = rows.pop(0)
+    header = [name.removeprefix("%") for name in rows.pop(0)]  # `rostopic echo -p` writes %time
     if len(header) == 1 and len(rows[0]) == 1 and re.search(r"[|\s][-+\d.]+$", rows[0][0]):
         raise ValueError(
             f"{path}: commas, semicolons or tabs must separate columns; its header is {quoted(header[0])}"
@@ -226,7 +224,7 @@ def _known_columns(
                 notes.append(f"{header!r} is converted to {_own_unit(ours)}")
             largest = np.nanmax(np.abs(values))
             if _own_unit(ours) == "N" and largest > _LARGEST_LIKELY_N:
-                notes.append(f"{header!r} reaches {largest:g} N, beyond any such sensor's: is it in mN?")
+                notes.append(f"{header!r} reaches {largest:g} N, beyond any sensor: in mN, or no value?")
     for name in needed:
         if name not in found:
             there = ", ".join(header for header, _ in columns if header)
@@ -283,9 +281,7 @@ def _unit(header: str, names: Iterable[str], own_unit: str) -> str | None:
     is_unit = stated["gap"] and _row_of_units([told])
     if not known or (stated["appended"] and not is_unit):
         return None
-    raise ValueError(
-        f"column {header!r} states the unit {told!r}: known units are {', '.join(UNITS[own_unit])}"
-    )
+    raise ValueError(f"column {header!r} states the unit {told!r}: known are {', '.join(UNITS[own_unit])}")
 
 
 def _plain_unit(told: str) -> str:
@@ -317,7 +313,7 @@ def _values(ours: str, header: str, cells: list[str], unit: str) -> np.ndarray:
     if ours == "time_s" and not unit and len(steps) and np.median(steps) > _LONGEST_LIKELY_STEP_S:
         raise _UnusableError(
             f"column {header!r} states no unit, and its values are {np.median(steps):g} apart, much for seconds: state "
-            "the unit, as in time_s or time_ms"
+            "the unit, as in time_s or time_ns"
         )
     return numbers * UNITS[_own_unit(ours)].get(unit, 1)
 

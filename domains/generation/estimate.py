@@ -23,7 +23,7 @@ LOG = logging.getLogger(__name__)
 _START_S = 4.0
 _FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
 # A range that is proposed is wider than the force that is expected, by what the expectation may be short of.
-_ROOM_FOR_FORCE = 1.5
+_ROOM_FOR_FORCE, _LEAST_LIKELY_MM = 1.5, 0.005
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,9 @@ def _dear_notes(plan: GenerationPlan) -> list[str]:
 
 
 def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
-    """Return which domains will probably have forces outside their declared range, in sentences; nothing is solved."""
+    """Return in sentences which forces will probably be outside their declared range, or next to nothing."""
+    if (most_mm := max(pose.depth_mm for recipe in recipes for pose in recipe.path.poses)) < _LEAST_LIKELY_MM:
+        return [f"the deepest press is {most_mm:g} mm deep: are depths in mm?"]
     beyond = []
     for recipe in recipes:
         deepest_mm = max(pose.depth_mm for pose in recipe.path.poses)

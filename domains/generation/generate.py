@@ -75,9 +75,7 @@ class GenerationReport:
         if self.unconverged:
             lines.append(f"{self.unconverged} frames did not converge: written without a picture")
         if self.unrenderable:
-            lines[-1] += (
-                f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
-            )
+            lines[-1] += f", {self.unrenderable} of them now as they cannot be rendered ({RUN_LOG} says why)"
         if self.outside_range:
             lines.append(
                 f"{self.outside_range} frames have a force outside the declared range; training will refuse them: "

@@ -74,6 +74,14 @@ def test_the_command_prints_errors_and_keeps_the_network(checkpoint, recordings,
     assert drawn_too == pytest.approx(after, rel=0.3)
 
 
+def test_pictures_of_another_aspect_are_squeezed_and_said_to_be(checkpoint, recordings, caplog):
+    network = replace(ForceModel.load(checkpoint), size_px=(40, 40))
+    network.save(other := checkpoint.with_name("square.pt"))
+    with pytest.raises(ValueError, match="must be 1 to 96"):
+        finetune(other, recordings, recordings, frames=999)
+    assert f"{recordings.name} has another aspect than the model: it is squeezed" in caplog.messages
+
+
 def test_bad_choices_are_refused(checkpoint, recordings):
     with pytest.raises(ValueError, match=r"clips = 9 of .*: must be 1 to 8"):
         finetune(checkpoint, recordings, recordings, clips=9)

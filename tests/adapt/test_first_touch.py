@@ -128,7 +128,7 @@ def test_what_has_no_first_touch_is_refused_or_said(caplog):
         (trajectories(step=True), "drags has no column step: the input touch"),
         (
             frames.take(np.arange(56) // 2),
-            "drags has 2 rows of trajectory_id 0 and step 0: number trajectories",
+            "drags has 2 rows of trajectory_id 0 and step 0: number",
         ),
         (frames.take(frames.columns["step"] == 3), "input touch: each trajectory of drags has one frame"),
     ):

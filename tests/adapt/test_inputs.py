@@ -168,7 +168,7 @@ def test_displacement_that_cannot_be_known_is_refused(camera, changes, message):
         ({"marker_hiding": 1.5}, "marker_hiding"),
         (
             {"input": "touch", "shift_px": 3},
-            "input touch: shows how far a dent is from its place; shift_px must be 0",
+            "input touch: shows how far a dent is off its place; shift_px must be 0",
         ),
     ],
 )

@@ -94,9 +94,7 @@ def test_the_report_has_tables_of_each_set_of_labels(fz_runs, source, target, sh
     assert forces.labels == ("fx_n", "fy_n", "fz_n")
 
 
-def test_a_run_of_generated_domains_keeps_its_oracles_and_what_no_picture_shows(
-    source, target, short, tmp_path
-):
+def test_a_run_of_generated_domains_keeps_oracles_and_what_no_picture_shows(source, target, short, tmp_path):
     (run,) = adapt_folders(source, target, ["constant-mean"], short, out_dir=tmp_path)
     assert (run.oracles, run.unseen) == ({}, ())
     told = replace(run, oracles={"pose oracle": run.target_test}, unseen=("modulus 1 and 2 MPa",))
@@ -232,7 +230,7 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--range", "fz_n=-3"], "must be a label, its lower and its upper bound, as fz_n=-30:0"),
+        (["--range", "fz_n=-3"], "must be a label and its two bounds, as fz_n=-30:0"),
         (["--range", "fz_n=-3:0", "fz_n=-4:0"], "one stands twice"),
     ],
 )
@@ -241,9 +239,7 @@ def test_wrong_choices_are_refused(options, message, files, refused):
     assert message in refused("adapt", "--source", pictures, "--target", pictures, *options)
 
 
-def test_target_labels_beyond_the_range_stop_only_what_trains_on_them(
-    source, target, short, tmp_path, caplog
-):
+def test_target_labels_beyond_the_range_stop_what_trains_on_them(source, target, short, tmp_path, caplog):
     deep = on(target, fz_n=2 * target.columns["fz_n"])
     with pytest.raises(ValueError, match=r"domain wmb1i1: .* outside the declared range; .*never clipped"):
         adapt_folders(on(source, "fz_n"), deep, ["source-only", "supervised"], short, out_dir=tmp_path)

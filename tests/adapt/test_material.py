@@ -87,7 +87,5 @@ def test_what_a_modulus_does_not_scale_stays_or_is_refused(stage1, target):
         with pytest.raises(ValueError, match=r"ratio of moduli = .*: must be finite and above 0"):
             with_modulus_ratio(stage1, ratio)
     places = replace(stage1, labels=Labels(("x_mm", "y_mm", "depth_mm"), ((-5, 5), (-4, 4), (0, 1))))
-    with pytest.raises(
-        ValueError, match="predicts x_mm, y_mm, depth_mm: no force that a modulus would scale"
-    ):
+    with pytest.raises(ValueError, match="predicts x_mm, y_mm, depth_mm: no force that a modulus would"):
         with_modulus_ratio(places, 2)

@@ -62,9 +62,7 @@ def test_it_is_trained_adapted_kept_and_loaded_when_its_file_is_named(
 
     monkeypatch.setattr(own_code, "_BACKBONES", {})
     own_file.with_name("ran").unlink()
-    with pytest.raises(
-        ValueError, match=rf"model\.pt: the network has the feature extractor net\.py:{function}"
-    ):
+    with pytest.raises(ValueError, match=rf"model\.pt: the network has the feature ext.* net\.py:{function}"):
         ForceModel.load("model.pt")
     assert not Path("ran").exists()
     loaded = ForceModel.load("model.pt", f"net.py:{function}")
@@ -114,7 +112,7 @@ def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_fi
     [
         (
             "absent.py:maps",
-            r"backbone 'absent\.py:maps': absent\.py could not be imported \(FileNotFoundError",
+            r"backbone 'absent\.py:maps': absent\.py could not be imported \(FileNot",
         ),
         ("net.py:number", "number is not a function of"),
         ("net.py:nothing", "it makes NoneType, not a torch.nn.Module"),
@@ -128,9 +126,7 @@ def test_what_is_no_feature_extractor_is_refused(name, message, profile):
 
 
 def test_a_profile_takes_no_name_whose_code_was_not_named_by_the_user(profile):
-    with pytest.raises(
-        ValueError, match=r"backbone = 'net\.py:maps': must be resnet18, resnet50 or your own"
-    ):
+    with pytest.raises(ValueError, match=r"backbone = 'net\.py:maps': must be resnet18, resnet50 or"):
         profile.replace(backbone="net.py:maps")
     assert not Path("ran").exists()
 

@@ -131,7 +131,7 @@ def test_tables_and_figures(source, target, profile, tmp_path):
     assert (tmp_path / "runs" / "tsne-mb0i0-wmb1i1.png").stat().st_size > 1000
 
 
-def test_profiles_that_differ_are_told_apart_and_each_judged_on_its_own_frames(
+def test_profiles_that_differ_are_told_apart_and_judged_on_their_own_frames(
     source, target, profile, tmp_path
 ):
     short = profile.replace(source_epochs=1, adapt_epochs=1)

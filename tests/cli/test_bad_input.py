@@ -18,12 +18,12 @@ WRONG: dict[str, tuple[str, str]] = {
     "input_folder": ("export no-such-folder --out o", "no-such-folder"),
     "OutputFile": (
         "press --save file.txt/below.npz",
-        "--save = 'file.txt/below.npz': the folder file.txt does not",
+        "--save = 'file.txt/below.npz': the folder file.txt",
     ),
     "output_folder": ("generate mb0i0 --out file.txt/below", "file.txt is a file; name a folder"),
     "workers": (
         "generate mb0i0 --out x --workers foo",
-        "--workers = 'foo': scheduler 'foo' must be synchronous",
+        "--workers = 'foo': scheduler 'foo' must be",
     ),
     "check_what": ("generate mb9i0 --out o", "what = 'mb9i0': domain 'mb9i0' is unknown"),
     "list_presets": ("presets gels", "kind = 'gels'"),

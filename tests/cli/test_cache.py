@@ -18,9 +18,7 @@ def test_cache_lists_entries_and_clears_them(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     (sound,) = [line for line in lines if "sphere 3 mm" in line]
-    assert all(
-        part in sound for part in ("draft", "MB", "deepest 0.05 mm", "gel 3 mm", "friction 0.8", "edges far")
-    )
+    assert all(part in sound for part in ("draft", "MB", "deepest 0.05 mm", "gel 3 mm", "friction 0.8"))
     assert any("damaged" in line for line in lines)
     assert "holds 2 solutions" in lines[-1]
     main(["cache", "--clear"])

@@ -116,9 +116,7 @@ def test_what_makes_a_fit_doubtful_is_said(
         out, err = capsys.readouterr()
         worse = "press 2 (q.png), around its contact 21.5 dB (unchanged reference 24.0)"
         assert (worse in out) == (worse in err) == bool(limits)
-        assert (
-            "at an end of the range that is searched, so that it may lie beyond: height of" in out
-        ) == bool(limits)
+        assert ("at an end of the range searched, so it may lie beyond: height of" in out) == bool(limits)
 
 
 @pytest.mark.parametrize(("around_db", "said"), [(24.9, "worse than doing nothing"), (25.1, "gains least")])
@@ -162,9 +160,7 @@ def test_another_file_than_a_list_of_presses_is_refused(
     ("scale", "said"),
     [("0", "must lie in [0.001, 1] mm per pixel"), ("0.01", "images would show 0.32 mm of the gel")],
 )
-def test_a_scale_that_cannot_be_is_refused(
-    tmp_path: Path, refused: Callable[..., str], scale: str, said: str
-) -> None:
+def test_a_wrong_scale_is_refused(tmp_path: Path, refused: Callable[..., str], scale: str, said: str) -> None:
     given = listed(tmp_path, "depth_mm = 0.6"), "--reference", tmp_path / "p.png", "--mm-per-px", scale
     assert said in refused("calibrate", *given, "-o", tmp_path / "own.toml")
 

@@ -32,9 +32,7 @@ def test_a_report_of_a_broken_run_says_which_and_what_to_do(files: Path, refused
     assert f"delete the folder {path.parent} and run the same `gelgap adapt` again" in line
 
 
-def test_real_data_that_cannot_be_used_is_told_without_advice_to_generate(
-    files: Path, capsys, refused
-) -> None:
+def test_unusable_real_data_are_told_without_advice_to_generate(files: Path, capsys, refused) -> None:
     folder = files / "pictures"
     (folder / "3.png").write_bytes(b"no picture")
     main(["inspect", str(folder)])
@@ -62,9 +60,7 @@ def test_two_tables_are_named(files: Path, refused) -> None:
     assert "old.csv, table.csv" in refused("inspect", files / "pictures")
 
 
-def test_an_undecodable_picture_is_named_with_its_data_set_frame_and_how_to_find_others(
-    files: Path, refused
-) -> None:
+def test_an_undecodable_picture_is_named_with_its_place_and_how_to_find_others(files: Path, refused) -> None:
     picture = files / "pictures" / "3.png"
     picture.write_bytes(picture.read_bytes()[:-30])
     line = refused("export", files / "pictures", "--out", files / "out")

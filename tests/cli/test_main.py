@@ -47,12 +47,12 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "mb0i0", "--elastomer", "b1", "--out", "never"], ("--name",)),
         (
             ["generate", "--name", "mb0i0", "--elastomer", "b1", "--out", "never"],
-            ("name", "mb0i0", "presets"),
+            ("mb0i0", "presets"),
         ),
         (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
         (["generate", "papre", "--out", "never"], ("papre", "did you mean paper?")),
         (["press", "--save", "/proc/state.npz"], ("--save", "/proc cannot be written to")),
-        (["press", "--save", "."], ("--save", "is a folder")),
+        (["press", "--save", "state.csv"], ("--save", "must end in .npz")),
         (["press", "--save="], ("a value is empty", "press --save=")),
         (["adapt", "--method", "dan", "--method", "dsan"], ("--method is given twice",)),
         (["render", "state.npz", "-o", "a.png", "--out=b.png"], ("--out is given twice",)),
@@ -81,6 +81,8 @@ def test_bad_input_is_one_line_and_exit_code_2(
     [
         (["press", "--quality", "superb"], ("superb", "standard")),
         (["press", "--depth-mm", "deep"], ("--depth-mm", "deep")),
+        (["press", "--depth-mm", "0,6"], ("0,6: write 0.6, with a decimal point",)),
+        (["press", "--depth-mm=0.6mm"], ("0.6mm: write 0.6, ", "without a unit")),
         (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
         (["press", "--shear-mm", "1"], ("--shear-mm", "2 values")),
         (["generate", "mb0i0"], ("Missing", "--out")),
@@ -251,7 +253,7 @@ def test_every_preset_is_listed_with_what_it_is(capsys: pytest.CaptureFixture[st
     assert [line for line in presets if len(line.split(maxsplit=1)) < 2] == []
 
 
-def test_help_says_each_default_once(
+def test_help_tells_defaults_once(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")

@@ -40,9 +40,7 @@ number = 3
 '''
 
 
-def test_an_own_gel_and_light_make_a_domain_with_a_name(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_an_own_gel_and_light_make_a_named_domain(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "gel.toml").write_text(GEL)
     (tmp_path / "lamp.toml").write_text(LAMP)
     main(
@@ -119,9 +117,7 @@ def test_a_wrong_gel_names_its_file_and_field(tmp_path: Path) -> None:
         Elastomer.load(tmp_path / "gel.toml")
 
 
-def test_a_wrong_table_inside_a_file_is_not_printed_whole(
-    refused: Callable[..., str], tmp_path: Path
-) -> None:
+def test_a_wrong_table_in_a_file_is_not_printed_whole(refused: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "lamp.toml").write_text(LAMP.replace('kind = "disc"\n', 'kind = "disc"\nbrightness = 3\n'))
     lamp, data = tmp_path / "lamp.toml", tmp_path / "data"
     message = refused("generate", "mb0i0", "--illumination", lamp, "--name", "x", "--out", data)
@@ -211,9 +207,7 @@ def test_code_that_changed_in_the_meantime_runs_as_it_is_now(pictures: Path) -> 
         ("own.py:number", "number is not a class"),
     ],
 )
-def test_what_is_no_method_is_bad_input(
-    method: str, words: str, pictures: Path, refused: Callable[..., str]
-) -> None:
+def test_no_method_is_bad_input(method: str, words: str, pictures: Path, refused: Callable[..., str]) -> None:
     (pictures / "beside.py").write_text("from own import Half")
     assert words in refused(*ADAPT, method)
     assert not (pictures / "runs").exists()

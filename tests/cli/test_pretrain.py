@@ -24,7 +24,7 @@ def small_pretraining(folder: Path) -> str:
     return f"pretrain {sizes} --profile {folder}/profile.toml --out {folder}/out"
 
 
-def test_a_pretrained_network_is_where_training_starts(
+def test_training_starts_from_a_pretrained_network(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     command = f"{small_pretraining(tmp_path)} --workers synchronous"

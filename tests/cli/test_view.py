@@ -14,7 +14,7 @@ import pytest
 VIEW = ("view", "--no-browser")
 
 
-def test_without_viser_it_says_how_to_install_it(
+def test_without_viser_it_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setattr("gelgap.cli.view.find_spec", lambda name: None)
@@ -28,7 +28,7 @@ def test_without_viser_it_says_how_to_install_it(
         (["--port", "70000"], ("--port = '70000'", "[0, 65535]")),
     ],
 )
-def test_bad_values_are_refused(
+def test_it_refuses_bad_values(
     arguments: list[str], words: tuple[str, ...], refused: Callable[..., str]
 ) -> None:
     message = refused(*VIEW, *arguments)

@@ -44,7 +44,7 @@ def loaded_modules() -> list[str]:
     return sorted({"torch", "colour", "gelgap.render.renderer"} & set(sys.modules))
 
 
-def test_a_cluster_at_an_address_makes_the_same_bytes_and_workers_stay_light(
+def test_a_cluster_at_an_address_makes_the_same_bytes_lightly(
     scheduler: str, make, data: Path, tmp_path: Path
 ):
     from distributed import Client

@@ -125,7 +125,7 @@ def test_no_size_has_more_pixels_than_the_picture():
         resized(np.zeros((240, 320, 3), np.uint8), (0, 100))
 
 
-def test_a_folder_that_cannot_be_written_to_is_cached_for_the_user(
+def test_a_read_only_folder_is_cached_for_the_user(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     shutil.copytree(data / "mb0i1", tmp_path / "read-only", ignore=shutil.ignore_patterns(".cache"))
@@ -196,7 +196,8 @@ def test_arrays_are_a_data_set_like_any_other():
     [
         ({"images": np.zeros((6, 6, 8, 3))}, r"images must be uint8 \(n, h, w, 3\), not float64"),
         ({"reference": np.zeros((3, 4, 3), np.uint8)}, r"reference has shape \(3, 4, 3\); 6 images need"),
-        ({"force_n": np.zeros((5, 3))}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
+        ({"reference": np.zeros((6, 8, 3))}, r"and the reference uint8, not float64"),
+        ({"force_n": np.zeros((5, 3)).tolist()}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
         ({"point_id": np.zeros(7, int)}, r"point_id has shape \(7,\)"),
         ({"force_range_n": np.ones((3, 2))}, r"must be \(3, 2\) with lower < upper"),
     ],
@@ -207,9 +208,7 @@ def test_arrays_that_do_not_fit_are_refused(changes: dict, message: str):
 
 
 def test_labels_outside_what_is_declared_are_named():
-    with pytest.raises(
-        ValueError, match=r"1 of 6 frames .* first: frame 5, Fz = -0.8333 N, allowed \[-0.7, 0\]"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 6 frames .* frame 5, Fz = -0.8333 N, allowed \[-0.7, 0\]"):
         arrays(force_range_n=np.array([[-1, 1], [-1, 1], [-0.7, 0]])).check_labels()
     with pytest.raises(ValueError, match=r"contact_class spans 0…5, allowed 0…4"):
         arrays(n_classes=5).check_labels()
@@ -272,8 +271,12 @@ def test_png_is_lossless(shape: tuple[int, ...]):
 def test_a_missing_data_set_says_what_was_looked_for(data: Path, tmp_path: Path):
     with pytest.raises(FileNotFoundError, match=r"does not exist; expected a folder with manifest.json"):
         open_domain(tmp_path / "none")
-    with pytest.raises(FileNotFoundError, match=r"holds the domains mb0i0, mb0i1, wmb0i0"):
+    with pytest.raises(FileNotFoundError, match=r"did you mean mb0i0, mb0i1, wmb0i0"):
         open_domain(data)
+    (tmp_path / "clip/images").mkdir(parents=True)
+    (tmp_path / "clip/images/0.png").touch()
+    with pytest.raises(FileNotFoundError, match=r"did you mean clip/images in it"):
+        open_domain(tmp_path)
 
 
 @pytest.mark.parametrize("pairing", ["channels", "stack", "difference"])
@@ -307,7 +310,7 @@ def test_a_plain_data_loader_gives_the_same_batches(data: Path):
     assert all(equal(one, other) for pair in batches for one, other in zip(*pair, strict=True))
 
 
-def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
+def test_a_chosen_cache_folder_is_used_and_cleared(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))

@@ -82,7 +82,5 @@ def picture_in(recipe, light):
 @pytest.mark.parametrize("size_px", [(20, 15), (80, 45)])
 def test_a_picture_that_is_too_small_or_of_other_proportions_is_refused(recipe, size_px):
     width, height = size_px
-    with pytest.raises(
-        ValueError, match=f"has {width}×{height} px: it must have the proportions of .* 64×48"
-    ):
+    with pytest.raises(ValueError, match=f"has {width}×{height} px: it must have the prop.* 64×48 px"):
         in_drawn_lights(recipe, np.zeros((height, width, 3), np.uint8))

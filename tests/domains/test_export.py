@@ -122,7 +122,7 @@ def test_a_split_by_point_keeps_each_point_in_one_part_and_the_card_says_so(
 
 def test_the_layout_of_generated_frames_refuses_other_data_in_one_sentence(data: Path, tmp_path: Path):
     export(data / "wmb0i0", "paper", tmp_path / "published")
-    with pytest.raises(ValueError, match="only generated domains are exported so"):
+    with pytest.raises(ValueError, match="not in gelgap's format, which this export needs"):
         export(tmp_path / "published" / "wmb0i0", "huggingface", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -148,7 +148,7 @@ def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: 
     ("format_name", "license", "message"),
     [
         ("huggingface", "mine: all", "license 'mine: all' must be an identifier such as apache-2.0"),
-        ("paper", "mit", "license 'mit' has no place in format paper; huggingface has a card for it"),
+        ("paper", "mit", "license 'mit' has no place in paper: huggingface has a card"),
     ],
 )
 def test_a_licence_that_no_card_can_state_is_refused(data, tmp_path, format_name, license, message):

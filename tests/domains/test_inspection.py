@@ -1,15 +1,16 @@
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains import verify_domain
+from gelgap.domains import ArrayFrames, open_domain, verify_domain
 from gelgap.domains.formats.export import export
 from gelgap.domains.frames.folders import domain_folders
-from gelgap.domains.inspection import inspect_domain, write_overview
+from gelgap.domains.inspection import frame_notes, inspect_domain, write_overview
 
 
 def test_the_facts_are_those_of_the_data(data: Path):
@@ -20,6 +21,25 @@ def test_the_facts_are_those_of_the_data(data: Path):
     assert "contact_mask" in str(facts)
     assert [path.name for path in domain_folders(data)] == ["mb0i0", "mb0i1", "wmb0i0"]
     assert domain_folders(data / "mb0i0") == (data / "mb0i0",)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda picture: picture, None),
+        (lambda picture: picture[..., ::-1], "is nearer to the reference with red and blue exchanged"),
+        (lambda picture: picture[:, ::-1], "is nearer to the reference with left and right exchanged"),
+        (lambda picture: picture[::-1, ::-1], "is nearer to the reference with half a turn"),
+        (lambda picture: picture // 255, "is black: no value is above 1"),
+        (lambda picture: picture // 2, "half of the picture is more than 25 of 255 off"),
+        (lambda picture: picture[..., [1, 1, 1]], "is grey, and the reference is not"),
+    ],
+)
+def test_a_picture_that_is_not_of_its_reference_is_noted(data: Path, change: Callable, said: str | None):
+    frames = open_domain(data / "mb0i0")
+    pictures = np.stack([change(frames.picture(index)) for index in (0, 20)])
+    notes = frame_notes(ArrayFrames("own", pictures, frames.reference, None))
+    assert [said in note for note in notes] == [True] * bool(said)
 
 
 @pytest.mark.parametrize("name", ["frames-00000.parquet", "reference.png", "manifest.json"])

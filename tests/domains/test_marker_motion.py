@@ -84,7 +84,7 @@ def test_the_plate_is_scipys_at_rest_far_away_also_where_markers_are_lost():
 
 def test_what_cannot_be_followed_is_refused():
     _, reference, picture = pictures("array-1", 0.2, Camera())
-    with pytest.raises(ValueError, match="the reference shows 0 markers; their motion needs 8 or more"):
+    with pytest.raises(ValueError, match="the reference shows 0 markers; motion needs 8 or more"):
         MarkerTracker(np.full((240, 320, 3), 128, np.uint8), Camera())
     with pytest.raises(ValueError, match="both must be of one size"):
         MarkerTracker(reference, Camera()).displacement_mm(picture[:120])

@@ -109,13 +109,17 @@ def test_a_clip_that_begins_with_a_force_or_ends_at_the_largest_lag_is_noted(
 ):
     day = own_wedge / "example_data/day"
     write_wedge_clip(day, "late_1", lag=5)
+    write_wedge_clip(day, "turned_1")
     (day / "ball_1_forces.pkl").write_bytes(pickle.dumps(press_curve(40) + 0.5))
+    (day / "turned_1_forces.pkl").write_bytes(pickle.dumps(9 - press_curve(40)))
     main(["convert", str(own_wedge), "--layout", "wedge", "--out", str(tmp_path / "out")])
     lines = capsys.readouterr().out.splitlines()
     (late,) = (line for line in lines if "largest lag" in line)
     (touching,) = (line for line in lines if "begins with a force" in line)
-    assert late.endswith(": day/late_1")
-    assert touching.endswith(": day/ball_1")
+    (turned,) = (line for line in lines if "hardly follow the force" in line)
+    assert late.endswith(": day/late_1, day/turned_1")
+    assert touching.endswith(": day/ball_1, day/turned_1")
+    assert turned.endswith(": day/turned_1")
     assert lines[-1] == f"wrote {tmp_path / 'out/day'}"
 
 
@@ -166,9 +170,7 @@ def test_what_is_no_such_clone_is_refused(own_wedge: Path, tmp_path: Path, file,
 
 def test_a_hostile_pickle_is_refused_and_not_run(own_wedge: Path, tmp_path: Path):
     (own_wedge / "example_data/day/ball_1_forces.pkl").write_bytes(pickled(tmp_path))
-    with pytest.raises(
-        ValueError, match=r"ball_1_forces.pkl holds something else than an array of numbers.*mkdir"
-    ):
+    with pytest.raises(ValueError, match=r"ball_1_forces.pkl holds something else than an array.*mkdir"):
         convert(own_wedge, LAYOUTS["wedge"], tmp_path / "out")
     assert not (tmp_path / "bait").exists()
 

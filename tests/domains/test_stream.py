@@ -79,7 +79,7 @@ def test_batches_are_the_same_whatever_the_workers(drawn: PressStream, workers: 
     assert batches[2].draw["depth_mm"][1] == drawn.sample(9).draw["depth_mm"]
 
 
-def test_contacts_that_cannot_be_seen_are_drawn_again_and_counted(
+def test_unseen_contacts_are_drawn_again_and_counted(
     drawn: PressStream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, calls = MembraneRenderer.picture, []

@@ -48,9 +48,7 @@ def test_rough_marks_of_an_unknown_sphere_are_read(tmp_path: Path) -> None:
         ("[[presses]]", "presses = []\n[other]", r"presses = \(\): tuple should have at least 1 item"),
     ],
 )
-def test_a_list_that_is_not_as_it_should_be_is_refused(
-    tmp_path: Path, old: str, new: str, problem: str
-) -> None:
+def test_a_list_that_is_no_such_list_is_refused(tmp_path: Path, old: str, new: str, problem: str) -> None:
     path = listed(tmp_path, "depth_mm = 0.6")
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=problem):

@@ -39,6 +39,16 @@ def test_it_is_like_one_made_anew(change: str) -> None:
     np.testing.assert_array_equal(before.picture(*membrane), picture)
 
 
+@pytest.mark.parametrize(("drive", "said"), [(0.0, "hardly any light"), (1e5, "is saturated")])
+def test_that_nothing_is_seen_is_said(drive: float, said: str, caplog: pytest.LogCaptureFixture) -> None:
+    light = Illumination.preset("i0").model_copy(update={"leds": Illumination.preset("i0").leds[:1]})
+    renderer = MembraneRenderer(Sensor.preset("paper"), light, SIZE_PX, "draft")
+    renderer.reference()
+    assert not caplog.messages
+    renderer.relit(first_led(light, drive=drive)).reference()
+    assert said in caplog.text
+
+
 def test_colours_alone_need_no_light_on_the_undeformed_membrane(monkeypatch: pytest.MonkeyPatch) -> None:
     before = MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"), SIZE_PX, "draft")
     monkeypatch.setattr(module, "direct_light", None)

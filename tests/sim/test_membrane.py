@@ -31,9 +31,7 @@ def test_the_grid_reaches_as_far_as_it_must_on_the_same_points() -> None:
     assert grid_axes((7.03, 5.5))[0][-1] == pytest.approx(7.1)
 
 
-def test_a_saved_state_comes_back_and_outlives_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_saved_state_outlives_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flat = MembraneState.untouched(*grid_axes())
     displacement = np.random.default_rng(0).normal(size=flat.displacement_mm.shape).astype(np.float32)
     state = MembraneState(

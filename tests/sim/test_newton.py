@@ -131,9 +131,7 @@ def test_increments_that_grow_are_left_alone() -> None:
 
 
 @pytest.mark.parametrize(("turns", "led"), [(1.0, True), (-1.0, False)])
-def test_increments_that_grow_again_and_again_are_led_on_if_they_keep_their_direction(
-    turns: float, led: bool
-) -> None:
+def test_increments_that_grow_again_are_led_on_if_they_keep_their_direction(turns: float, led: bool) -> None:
     acceleration = AndersonAcceleration()
     increments = [turns**k * np.array([0.0, 1e-3 * 1.04**k]) for k in range(4)]
     *before, last = (acceleration.correction(np.zeros(2), increment, 1.0) for increment in increments)

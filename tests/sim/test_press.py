@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gelgap.sim import press
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
 from gelgap.sim.path import ContactPath, ForcePath
@@ -93,7 +94,7 @@ def test_the_surface_in_contact_is_the_sphere(descent: tuple[MembraneState, ...]
     np.testing.assert_allclose(distance, BALL.radius_mm, atol=1e-4)
 
 
-def test_the_contact_radius_grows_and_stays_within_the_geometric_one(
+def test_the_contact_radius_grows_within_the_geometric_one(
     descent: tuple[MembraneState, ...],
 ) -> None:
     radii = [state.contact_radius_mm for state in descent[:3]]
@@ -169,9 +170,7 @@ def test_friction_survives_a_slide_over_the_rim() -> None:
     assert states[-1].force_n[0] == pytest.approx(0.0203, rel=0.03)
 
 
-def test_a_drag_near_the_brink_of_sliding_bears_what_it_should_and_is_flagged_where_the_membrane_folds() -> (
-    None
-):
+def test_a_drag_near_the_brink_of_sliding_bears_its_load_and_is_flagged_where_it_folds() -> None:
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.8)
     poses = tuple(Pose(depth_mm=0.4, shear_x_mm=travel) for travel in (0.3, 0.4, 0.6))
     before, near, beyond = solve_poses(gel, BALL, poses, "draft")
@@ -218,9 +217,18 @@ def test_load_control_finds_the_depth_of_a_force() -> None:
         assert reached_n == pytest.approx(force_n, rel=0.01)
     assert pose.depth_mm > GEL.thickness_mm / 3
     with pytest.raises(
-        ValueError, match=r"normal_force_n = 50: must be at most 2.* N, at 1.5 mm, the largest depth"
+        ValueError, match=r"normal_force_n = 50: must be at most 2.* N, at 1.5 mm, the largest"
     ):
         pose_for_force(GEL, BALL, 50.0, quality="draft")
+
+
+def test_a_force_that_no_depth_gives_is_refused_after_one_descent(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends_mm = []
+    found = np.array([0.0, 0.7, 1.5]), np.array([0.0, 0.5, 2.0])
+    monkeypatch.setattr(press, "_descent", lambda end_mm, *_: ends_mm.append(end_mm) or found)
+    with pytest.raises(ValueError, match="must be at most 2 N"):
+        pose_for_force(GEL, BALL, 50.0)
+    assert ends_mm == [1.5]
 
 
 def test_load_control_presses_a_tilted_face_until_all_of_it_touches() -> None:

@@ -63,9 +63,7 @@ directions = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).fil
 @settings(deadline=None, max_examples=60)
 @given(body=turned, point=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 5)))
 @example(body=Cylinder(), point=(0.0, 0.0, 3.0))
-def test_a_distance_has_a_unit_gradient_and_leads_to_the_surface(
-    body: Shape, point: tuple[float, ...]
-) -> None:
+def test_a_distance_has_a_unit_gradient_and_leads_to_it(body: Shape, point: tuple[float, ...]) -> None:
     found = body.project(np.array([point]))
     assert np.linalg.norm(found.outward_normal[0]) == pytest.approx(1)
     assert abs(body.project(found.points_mm).distance_mm[0]) < 1e-9
@@ -75,9 +73,7 @@ def test_a_distance_has_a_unit_gradient_and_leads_to_the_surface(
 
 @settings(deadline=None, max_examples=40)
 @given(body=turned, direction=directions)
-def test_no_point_of_the_surface_lies_beyond_what_the_body_reaches(
-    body: Shape, direction: tuple[float, ...]
-) -> None:
+def test_no_point_of_the_surface_lies_beyond_its_reach(body: Shape, direction: tuple[float, ...]) -> None:
     unit = np.array([direction]) / np.linalg.norm(direction)
     reach_mm = body.reach_mm(unit)[0]
     around = 30 * trimesh.creation.icosphere(subdivisions=2).vertices
@@ -184,9 +180,7 @@ def test_rings_follow_a_sharper_edge_than_lines_and_finer_for_it() -> None:
 
 
 @pytest.mark.parametrize(("thickness_mm", "cells"), [(3.0, 1.5), (2.0, 2.25), (1.0, 3.0)])
-def test_cells_in_the_middle_widen_with_the_thicknesses_that_a_contact_is_wide(
-    thickness_mm: float, cells: float
-) -> None:
+def test_cells_in_the_middle_widen_with_a_contacts_width(thickness_mm: float, cells: float) -> None:
     gel = GEL.model_copy(update={"thickness_mm": thickness_mm})
     body = Box(size_mm=(6.0, 6.0), edge_radius_mm=0.5)
     problem = plan_visit(gel, body, (Pose(depth_mm=0.2),), "draft").solves[0].problem

@@ -97,9 +97,7 @@ def test_a_solution_goes_between_processes(solution: Solution) -> None:
     assert solution_bytes(sent) == solution_bytes(solution)
 
 
-def test_a_disk_that_takes_no_file_is_a_clear_error(
-    solution: Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_takes_no_file_is_an_error(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GELGAP_CACHE", "/proc/takes-no-file")
     with pytest.raises(RuntimeError, match="cannot write"):
         store_solution(solution)

@@ -35,7 +35,7 @@ angles = st.floats(-15, 15)
     turn=st.tuples(angles, angles, angles),
     point=st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-2, 3)),
 )
-def test_a_turned_body_is_the_body_in_turned_axes(
+def test_a_turned_body_is_as_in_turned_axes(
     body: Shape, turn: tuple[float, ...], point: tuple[float, ...]
 ) -> None:
     matrix, points = rotation(np.array(turn)), np.array([point])
@@ -197,7 +197,7 @@ def test_a_trajectory_lists_its_turns(tmp_path: Path) -> None:
         (
             Ellipsoid(diameters_mm=(6.0, 3.0, 2.0)),
             {"depth_mm": 0.0, "roll_deg": (0.0, 10.0)},
-            "still reaches 0.129",
+            "reaches 0.129",
         ),
     ],
 )
