@@ -38,6 +38,7 @@ def run(
         methods: Names, or your own as module:Class or file.py:Class, each with its controls; by default the part's own.
         groups: SOURCE:TARGET; by default the part's own.
         inputs: What the parts `inputs` (by default all) and `leaderboard` (pictures) show, there also random lights.
+            For `touch` a straight touch of each point comes first, which is not judged.
         workers: Processes; by default one per core.
         minutes: Begin no run after this time.
         out: Folder of the records, named after the profile; its data lie beside it.

@@ -8,6 +8,7 @@ that a gel takes minutes of a core.
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -112,6 +113,15 @@ def contact_path(role: Role) -> PosePath:
                 )
             )
     return PosePath(f"board-{role}", tuple(poses))
+
+
+def touch_path(contacts: PosePath) -> PosePath:
+    """Return a straight touch, 0.1 mm deep, of each point of a path."""
+    of_points = {pose.point_id: pose for pose in contacts.poses}.values()
+    straight = (
+        replace(pose, depth_mm=0.1, shear_x_mm=0.0, shear_y_mm=0.0, contact_class=1) for pose in of_points
+    )
+    return PosePath(f"{contacts.name}-touches", tuple(straight))
 
 
 def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:

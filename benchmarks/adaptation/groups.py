@@ -59,7 +59,7 @@ CAVEAT = (
 def measure(study: Study) -> None:
     """Do the missing runs: of a seed the upper bounds, then all methods; those on shifted labels come last."""
     chosen = study.known_methods()
-    if study.is_quick:  # the domains at their least: nine points of four poses at draft quality
+    if study.profile == "smoke":  # the domains at their least: nine points of four poses at draft quality
         path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
         recipes = make_recipes(
             QUICK_GROUP, path, quality="draft", render_quality="draft", size_px=(160, 120), seed=0

@@ -33,15 +33,16 @@ INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
 GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0i0", "wmb0i0"))
 """Light alone, light and gel, markers."""
 LIGHT_METHODS = (PLAIN, "adabn")
-BOARD_INPUTS = tuple(name for name, shown in INPUTS.items() if not shown.frozen and not shown.from_touch)
-"""What the board can show: a pretrained backbone needs a file, and first touch several frames of a contact."""
+BOARD_INPUTS = tuple(name for name, shown in INPUTS.items() if not shown.frozen)
+"""What the board can show: a pretrained backbone needs a file."""
 _SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
 def changes_of(name: str) -> board.Changes:
     """Return the changes of the profile that show an input."""
     hiding = (("marker_hiding", 0.0),) if INPUTS[name].find else ()
-    return BY_POINT if name == "pictures" else (*BY_POINT, ("input", name), *hiding)
+    unmoved = (("shift_px", 0),) if INPUTS[name].from_touch else ()
+    return BY_POINT if name == "pictures" else (*BY_POINT, ("input", name), *hiding, *unmoved)
 
 
 def input_grid(
@@ -51,10 +52,9 @@ def input_grid(
     with_markers = [group for group in groups if not any("wm" in domain for domain in group)]
     runs: list[Setting] = []
     for seed in seeds:
-        for name in BOARD_INPUTS:
-            if name in inputs or not inputs:
-                own = with_markers if INPUTS[name].find else groups
-                runs += grid([(board.DATA, group) for group in own], methods, [seed], changes_of(name))
+        for name in inputs or BOARD_INPUTS:
+            own = with_markers if name == "markers" else groups
+            runs += grid([(board.DATA, group) for group in own], methods, [seed], changes_of(name))
     return runs
 
 
@@ -66,12 +66,12 @@ def measure_inputs(study: Study) -> None:
     ValueError
         If no group can show what was chosen.
     """
-    methods = study.known_methods() or METHODS
-    runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
     if lights := [name for name in study.inputs if name not in INPUTS]:
         raise ValueError(
             f"--inputs {' '.join(lights)}: random lights are entries of the part `leaderboard` alone"
         )
+    methods = study.known_methods() or METHODS
+    runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
     if not runs:
         raise ValueError(
             f"--inputs {' '.join(study.inputs)}: no chosen group has markers on both sides, as in mb0i0:mb0i1"

@@ -7,7 +7,7 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 import datetime
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import pandas as pd
 
 from gelgap.adapt import ForceModel, Profile, split_for_training
 from gelgap.adapt.data import SplitFrames
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import Group, Stage1, versions
@@ -84,11 +85,6 @@ class Study:
         """Return the study of a folder that is named after the profile, its data beside it."""
         return cls(folder.parent / f"data-{folder.name}", folder, folder.name, **limits)
 
-    @property
-    def is_quick(self) -> bool:
-        """Whether one small group is enough, to see everything run."""
-        return self.profile == "smoke"
-
     def known_methods(self) -> tuple[str, ...]:
         """Return the chosen methods, each after its controls; one's own are known now, and read no target labels."""
         found: list[str] = []
@@ -111,20 +107,20 @@ class Study:
 
     def generate_for(self, runs: Iterable[Setting]) -> None:
         """Generate what is missing of the domains of runs; lights like a target's are drawn by its picture."""
-        runs = list(runs)
         by_role = [run for run in runs if run["data"] in board.BY_ROLE]
         as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
         drawn = [name for name in as_source if name.startswith(board.RANDOM_LIGHTS)]
         recipes = board.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
         self.generate(recipes, f"{board.DATA}-target")
-        self.generate(
-            board.role_recipes([name for name in as_source if name not in drawn], "source"),
-            f"{board.DATA}-source",
-        )
+        lone = [name for name in as_source if name not in drawn]
+        self.generate(board.role_recipes(lone, "source"), f"{board.DATA}-source")
         for name in drawn:
             target = name.removeprefix(board.LIKE) if name.startswith(board.LIKE) else None
             pictured = target and _domain((self.data / f"{board.DATA}-target" / target).resolve())
             self.generate(board.random_light_recipes(pictured), f"{board.DATA}-source")
+        for contacts, folder in dict(pair for run in by_role for pair in self.touches_of(run)).items():
+            touches = contacts.recipe.model_copy(update={"path": board.touch_path(contacts.recipe.path)})
+            self.generate([touches], folder.parent.name)
 
     def run(
         self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
@@ -170,18 +166,25 @@ class Study:
             own = sorted(as_source.glob(f"{source}-*"))
         return [*map(_domain, own), _domain(as_target / target)]
 
+    def touches_of(self, run: Setting) -> list[tuple[GeneratedDomain, Path]]:
+        """Return each of `domains_of` and where its points' touches are, if the input of a run begins with them."""
+        found = self.domains_of(run) if INPUTS[self.profile_of(run).input].from_touch else []
+        folders = [(domain, *domain.folder.parts[-2:]) for domain in found]
+        return [(domain, self.data / f"{data}-touches" / name) for domain, data, name in folders]
+
     def frames_of(self, run: Setting) -> SplitFrames:
-        """Return the frames of a run, divided for training and judging."""
+        """Return the frames of a run, divided for training and judging: the same contacts, whatever is shown."""
         *sources, target = self.domains_of(run)
         if run["data"] == board.LABEL_SHIFT:
             target = board.with_shifted_labels(target)
         source = sources[0] if len(sources) == 1 else join_domains(sources)
-        return split_for_training(source, target, self.profile_of(run), run["seed"])
+        return split_for_training(source, target, self.profile_of(run).replace(input="pictures"), run["seed"])
 
     def stated_of(self, run: Setting) -> Results:
         """Return what the record of a run states of its profile, its method and its data."""
         profile, method = self.profile_of(run), run["method"]
-        data = [(domain.recipe.key, domain.digest) for domain in self.domains_of(run)]
+        domains = [*self.domains_of(run), *(_domain(folder) for _, folder in self.touches_of(run))]
+        data = [(domain.recipe.key, domain.digest) for domain in domains]
         return {
             "profile": self.profile,
             "configuration": configuration_of(profile, *data),
@@ -216,6 +219,25 @@ def _domain(folder: Path) -> GeneratedDomain:
     return open_domain(folder)
 
 
+def begun_by_touches(frames: SplitFrames, source: LabelledFrames, target: LabelledFrames) -> SplitFrames:
+    """Return all parts with the touches of their points at the end: a point is a trajectory that its touch begins.
+
+    Source and target hold the touches, which do not count where frames are judged: they have no force there.
+    """
+    parts: dict[str, LabelledFrames] = {}
+    for name, contacts in frames.parts.items():
+        touches = target if name.startswith("target") else source
+        touches = touches.take(np.isin(touches.point_id, contacts.point_id))
+        parts[name] = join_domains([contacts, touches])
+        columns = parts[name].columns
+        columns |= {"trajectory_id": columns["point_id"], "reference_id": np.zeros(len(parts[name]), int)}
+        # A touch comes after the first frame of all, which is without contact.
+        columns["step"] = np.append(2 * contacts.columns["frame_id"], np.ones(len(touches), int))
+        for axis in () if name.endswith("train") else contacts.labels.names:
+            columns[axis][len(contacts) :] = np.nan
+    return replace(frames, **parts)
+
+
 def _run(function: Callable[[Study, Setting], Results], study: Study, run: Setting) -> Results:
     study.known_methods()  # a worker process does not know them yet
     return function(study, run)
@@ -229,11 +251,13 @@ def adapt_run(study: Study, run: Setting) -> Results:
     the checkpoint.
     """
     frames = study.frames_of(run)
-    stage1 = study.stage1(run, frames.source_train)
+    touches = [_domain(folder) for _, folder in study.touches_of(run)]
+    shown = begun_by_touches(frames, *touches) if touches else frames
+    stage1 = study.stage1(run, shown.source_train)
     stage1_s = train_once(stage1, run["method"])
-    done, model = Group(frames, stage1).run(run["method"])
+    done, model = Group(shown, stage1).run(run["method"])
     return {
-        "versions": versions_line(),
+        "versions": "gelgap {gelgap}, torch {torch}".format_map(versions()),
         "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         "control": control_of(run["method"]),
         "problem": done.problem,
@@ -255,7 +279,7 @@ def adapt_run(study: Study, run: Setting) -> Results:
         "predicted_n": (
             np.broadcast_to(frames.source_train.force_n.mean(axis=0), frames.target_test.force_n.shape)
             if model is None
-            else model.predict_n(frames.target_test)
+            else model.predict_n(shown.target_test)[: len(frames.target_test)]
         ).astype(np.float32),
     }
 
@@ -266,11 +290,6 @@ def state_digest(model: ForceModel) -> str:
     return sha256(
         b"".join(name.encode() + values.cpu().contiguous().numpy().tobytes() for name, values in state)
     )
-
-
-def versions_line() -> str:
-    """Return the versions that a record names."""
-    return "gelgap {gelgap}, torch {torch}".format_map(versions())
 
 
 def control_of(method: str) -> str | None:

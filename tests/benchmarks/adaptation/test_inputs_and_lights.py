@@ -8,6 +8,7 @@ from run_records import record, rows_of, write_runs
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation import board, groups, inputs_and_lights
+from gelgap.benchmarks.adaptation.inputs_and_lights import BOARD_INPUTS
 from gelgap.benchmarks.adaptation.study import Part, Study
 from gelgap.benchmarks.common import read_records
 
@@ -17,14 +18,11 @@ RUNS = Path(__file__).parents[3] / "docs" / "results" / "runs"
 def test_every_input_is_run_where_it_can_be_shown():
     runs = inputs_and_lights.input_grid([("mb0i0", "mb1i1"), ("mb0i0", "wmb0i0")], ["adabn"], [0])
     shown = {(run["target"], dict(run["changes"]).get("input", "pictures")) for run in runs}
-    assert {name for target, name in shown if target == "mb1i1"} == set(INPUTS) - {"pretrained", "touch"}
-    assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {
-        "pretrained",
-        "touch",
-        "markers",
-    }
+    shown_on = {own: {name for target, name in shown if target == own} for own in ("mb1i1", "wmb0i0")}
+    assert shown_on == {"mb1i1": set(BOARD_INPUTS), "wmb0i0": set(BOARD_INPUTS) - {"markers"}}
+    assert set(INPUTS) - set(BOARD_INPUTS) == {"pretrained"}
     study = Study(Path(), Path(), "board")
-    assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained", "touch"}
+    assert {study.profile_of(run).input for run in runs} == set(BOARD_INPUTS)
     (chosen,) = inputs_and_lights.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
     with pytest.raises(ValueError, match="--inputs markers: no chosen group has markers on both sides"):

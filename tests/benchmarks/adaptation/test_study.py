@@ -16,10 +16,11 @@ import pytest
 from run_records import look_up_method, record, write_benchmark, write_runs
 
 from gelgap.adapt.trainer import untrained
-from gelgap.benchmarks.adaptation.board import DATA, GROUPS
-from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS
+from gelgap.benchmarks.adaptation import study
+from gelgap.benchmarks.adaptation.board import BY_POINT, DATA, GROUPS
+from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, changes_of
 from gelgap.benchmarks.adaptation.report import is_benchmark, measure, write_benchmark_report
-from gelgap.benchmarks.adaptation.study import RUNS, Study, grid, train_once
+from gelgap.benchmarks.adaptation.study import RUNS, Study, adapt_run, begun_by_touches, grid, train_once
 
 CASES = [("paired", GROUPS[0])]
 OWN_METHOD = """
@@ -116,6 +117,21 @@ def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypat
         seconds = list(pool.map(lambda stage1: train_once(stage1, "dsan"), (first, second)))
     assert len(trained) == 1
     assert min(seconds) == 0 < max(seconds)
+
+
+def test_touches_are_shown_and_not_judged(source, target, monkeypatch, tmp_path):
+    small = (("image_size_px", (40, 32)), ("colour_mixing", 0.0), ("source_epochs", 1))
+    (run,) = grid([(DATA, GROUPS[0])], ["source-only"], [0], (*changes_of("touch"), *small))
+    touches = [frames.take(np.unique(frames.point_id, return_index=True)[1]) for frames in (source, target)]
+    monkeypatch.setattr(Study, "domains_of", lambda self, run: [source, target])
+    monkeypatch.setattr(Study, "touches_of", lambda self, run: [(frames.name, frames) for frames in touches])
+    monkeypatch.setattr(study, "_domain", lambda touches: touches)
+    own = Study(tmp_path, tmp_path, "smoke")
+    found, judged = adapt_run(own, run), own.frames_of(run | {"changes": BY_POINT}).target_test
+    assert found["frames_sha256"]["target_test"] == judged.digest
+    error_n = np.abs(found["predicted_n"] - judged.force_n)
+    assert found["mae_n"] == pytest.approx(error_n.mean(axis=0), rel=1e-3)
+    assert len(begun_by_touches(own.frames_of(run), *touches).target_test) > len(judged)
 
 
 @pytest.mark.parametrize(
