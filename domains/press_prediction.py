@@ -186,8 +186,8 @@ def _of_ball(
     if residual is not None and residual.holds_for(press.sphere_diameter_mm, radius_mm):
         plane_mm, camera_mm = camera.plane_of_picture_mm(size_px), np.array(camera.position_mm)
         seen = SeenPoints.pressed(plane_mm, np.zeros(len(plane_mm), int), pose[None], [profiles], camera_mm)
-        place = pose[:2] / (camera.footprint_mm(size_px)[0] / 2)
-        left = residual.around((seen.positions[:, :2] - pose[:2]) / radius_mm, place)
+        contact = np.array([*pose[:2] / (camera.footprint_mm(size_px)[0] / 2), radius_mm])
+        left = residual.around((seen.positions[:, :2] - pose[:2]) / radius_mm, contact)
     return membrane, radii_away(untouched, center_px, radius_px) < 1, left
 
 

@@ -5,7 +5,7 @@ and no shadows, and holds under the light that it was measured in. A fitted sens
 errors are others than those of a modelled light, so that both together often have less than either.
 
 The residual is what both leave around a ball, as the rim, a thinner line than a solved membrane's. Presses held out in
-three parts of seven sets gain 0.4 to 2.7 dB inside their contacts by it, and 0.9 to 5.2 around (results/sensors.md).
+three parts of seven sets gain 0.4 to 6.6 dB inside their contacts by it, and 1.2 to 6.4 around (results/sensors.md).
 """
 
 from dataclasses import dataclass
@@ -30,13 +30,13 @@ _KNOTS = (*_NEAR, 1.55, 1.8, 2.15, 2.7, 3.5, 4.5)
 _ORDERS = 4  # of waves around the contact
 _WAVES = 2 * _ORDERS + 1
 _SHAPES = (len(_KNOTS) - 1) * _WAVES
-# By so much of a press it is drawn to 0, and to the same everywhere.
-_RIDGE, _LEAST_RIDGE = 0.15, 1e-3
-# By so much of a press its bends over the radius are drawn to 0: without, small contacts show rings.
-_BEND = 1.0
+# By so much of a press it is drawn to 0, to the same everywhere, and its bends over the radius, without which small
+# contacts show rings; by so many times as much its slopes over place and radius of contacts.
+_RIDGE, _LEAST_RIDGE, _BEND, _SLOPES = 0.15, 1e-3, 1.0, 3.0
 _BY_RADIUS = np.diff(np.eye(len(_KNOTS))[:, :-1], 2, axis=0)
 _BENDS = np.kron(_BY_RADIUS.T @ _BY_RADIUS, np.eye(_WAVES))
-_MOST_POINTS = 40_000  # more take memory
+_FEWEST_BY_RADIUS = 8  # fewer than two for each term have no slope over the radius
+_LEAST_HALF_RANGE = 0.01  # half views, mm: what varies less is noise
 # By what share a ball's diameter and contact may differ from the fitted ones.
 _MOST_OTHER = 0.1
 _Code = Annotated[float, Field(ge=-255, le=255)]
@@ -111,55 +111,65 @@ def _mix(normals, place, coefficients, code, gain, decoded, share, linear):
 
 
 class BallResidual(Settings):
-    """Real less predicted code values around the contacts of one ball, linear in the contact's place in the view."""
+    """Real less predicted code values around one ball's contacts, linear in x and y in half views and radius in mm."""
 
     diameter_mm: _Length
-    contact_radii_mm: tuple[_Length, _Length] = Field(description="of the fitted contacts, least and largest")
+    least: tuple[float, float, _Length] = Field(description="x, y and radius, each of some fitted contact")
+    largest: tuple[float, float, _Length]
     coefficients: tuple[tuple[_Code, _Code, _Code], ...] = Field(
-        min_length=3 * _SHAPES, max_length=3 * _SHAPES, repr=False
+        min_length=4 * _SHAPES, max_length=4 * _SHAPES, repr=False
     )
 
     @classmethod
     def fitted(
         cls,
         diameter_mm: float,
-        radii_mm: np.ndarray,
-        points: np.ndarray,
+        contacts: np.ndarray,
+        index: np.ndarray,
+        away: np.ndarray,
         left: np.ndarray,
         usable: np.ndarray,
     ) -> Self:
-        """Fit the residual of presses whose contacts have `radii_mm` to what is left (n, 3), where that is usable.
+        """Fit the residual of `contacts` (k, 3) to what is left (n, 3), where that is usable (n, 3).
 
-        `points` (n, 4) are by how many radii a point is off its press, and where that is in the view, in half views.
+        Each point is of the contact `index` (n,), and off it by `away` (n, 2) of its radii.
         """
-        some = np.s_[:: 1 + len(points) // _MOST_POINTS]
-        points, left, usable = points[some], left[some], usable[some]
-        places = monomials(points[:, 2], points[:, 3], 1)
-        columns = (places[:, :, None] * _shapes(points[:, :2])[:, None]).reshape(len(points), -1)
-        coefficients = np.empty((3 * _SHAPES, 3))
-        for channel in range(3):
-            weighted = (columns * usable[:, channel, None]).T
-            normal = weighted @ columns
-            by_shape = normal.diagonal()[:_SHAPES] / len(radii_mm) + 1e-9  # a dark channel shows nothing
-            ridge = np.diag(_RIDGE * by_shape + _LEAST_RIDGE * by_shape.mean())
-            normal += np.kron(np.eye(3), ridge + _BEND * by_shape.mean() * _BENDS)
-            coefficients[:, channel] = np.linalg.solve(normal, weighted @ left[:, channel])
-        radii = float(radii_mm.min()), float(radii_mm.max())
-        rounded = coefficients.clip(-255, 255).round(2).tolist()
-        return cls(diameter_mm=diameter_mm, contact_radii_mm=radii, coefficients=rounded)
+        least, largest = contacts.min(axis=0), contacts.max(axis=0)
+        terms = _terms(contacts, least, largest)
+        terms[:, 3] *= len(contacts) >= _FEWEST_BY_RADIUS
+        normal, right = np.zeros((3, 4 * _SHAPES, 4 * _SHAPES)), np.zeros((3, 4 * _SHAPES, 1))
+        for contact, own in enumerate(terms):
+            of_it = index == contact
+            shapes = _shapes(away[of_it])
+            weighted = usable[of_it].T[:, None] * shapes.T  # (3, shapes, n)
+            normal += np.kron(np.outer(own, own), weighted @ shapes)
+            right += np.kron(own[:, None], weighted @ left[of_it].T[:, :, None])
+        by_shape = normal.diagonal(axis1=1, axis2=2)[:, :_SHAPES, None] / len(contacts)
+        level = by_shape.mean()  # of all channels, since a dark one shows nothing
+        ridge = (_RIDGE * by_shape + _LEAST_RIDGE * level) * np.eye(_SHAPES) + _BEND * level * _BENDS
+        solved = np.linalg.solve(normal + np.kron(np.diag([1, _SLOPES, _SLOPES, _SLOPES]), ridge), right)
+        rounded = solved[..., 0].T.clip(-255, 255).round(2).tolist()
+        return cls(diameter_mm=diameter_mm, least=tuple(least), largest=tuple(largest), coefficients=rounded)
 
     def holds_for(self, diameter_mm: float, contact_radius_mm: float) -> bool:
         """Return whether a ball is the fitted one, and pressed about as deep."""
-        least_mm, largest_mm = self.contact_radii_mm
         is_ball = abs(diameter_mm / self.diameter_mm - 1) <= _MOST_OTHER
-        return is_ball and (1 - _MOST_OTHER) * least_mm <= contact_radius_mm <= (1 + _MOST_OTHER) * largest_mm
+        least_mm, largest_mm = (1 - _MOST_OTHER) * self.least[2], (1 + _MOST_OTHER) * self.largest[2]
+        return is_ball and least_mm <= contact_radius_mm <= largest_mm
 
-    def around(self, away: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Return (n, 3): the residual in code values at points `away` (n, 2) from a press at `place` (2,), as above."""
+    def around(self, away: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """Return (n, 3) code values at points `away` (n, 2) from a contact (3,), beyond fitted ones as at their end."""
         near, left = np.hypot(*away.T) < _KNOTS[-1], np.zeros((len(away), 3))
-        by_place = np.array(self.coefficients).reshape(3, _SHAPES, 3)
-        left[near] = _shapes(away[near]) @ np.tensordot(monomials(place[0], place[1], 1), by_place, 1)
+        (terms,) = _terms(contact[None], np.array(self.least), np.array(self.largest))
+        by_term = np.reshape(self.coefficients, (4, _SHAPES, 3))
+        left[near] = _shapes(away[near]) @ np.tensordot(terms, by_term, 1)
         return left
+
+
+def _terms(contacts: np.ndarray, least: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """Return (k, 4): 1, and where contacts (k, 3) are between the least, −1, and the largest, 1."""
+    half = np.maximum((largest - least) / 2, _LEAST_HALF_RANGE)
+    return np.column_stack([np.ones(len(contacts)), ((contacts - (least + largest) / 2) / half).clip(-1, 1)])
 
 
 def _shapes(away: np.ndarray) -> np.ndarray:

@@ -156,15 +156,14 @@ def calibrate_light(
     blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
     drawn = [press for other, part in zip(blind, parts, strict=True) for press in _drawn(other, part)]
     share = table_share([press.levels(TABLE_SHARES) for press in drawn]) if drawn else 0.0
-    residual = fit.ball_residual(fit.normal_table(), share) if drawn else None
-    if residual is not None and _predicts_better(whole := _with_residuals(drawn, share), drawn, share):
-        drawn = whole
-    else:
-        residual = None
-    held_out = [press.held_out(share) for press in drawn]
+    residuals = {other: other.ball_residual(share) for other in blind}
+    whole = [replace(press, residual=residuals[press.fit]) for press in drawn]
+    has_residual = bool(drawn) and _predicts_better(whole, drawn, share)
+    held_out = [press.held_out(share) for press in (whole if has_residual else drawn)]
     if held_out:
         _check_prediction(held_out)
     lit, own = task.lit_sensor(fit), [fit.placed.profiles[k] for k in used]
+    residual = fit.ball_residual(share) if has_residual else None
     volumes = [one.volume_mm3(pose[2]) for one, pose in zip(own, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit.model_copy(update={"table_share": share, "ball_residual": residual}),
@@ -350,12 +349,10 @@ class _Drawn:
 
     def picture(self, pictures: tuple[np.ndarray, ...], share: float) -> np.ndarray:
         """Return the uint8 picture (h, w, 3) with a share of the table."""
-        light, table, away = pictures
+        light, table, away, contact = pictures
         code = light + share * (table - light)
         if self.residual is not None:
-            placed = self.fit.placed
-            place = placed.poses_mm[self.press, :2] / placed.half_view_mm
-            code = code + self.residual.around(away, place).reshape(code.shape)
+            code = code + self.residual.around(away, contact).reshape(code.shape)
         return np.clip(np.round(code), 0, 255).astype(np.uint8)
 
     def levels(self, shares: Sequence[float]) -> list[tuple[float, float]]:
@@ -377,28 +374,22 @@ class _Drawn:
 
 
 def _pictures(fit: LightFit, table: NormalTable, press: int, pose_mm: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return a press by light and by table, in code values (h, w, 3), and how far from it pixels see, in its radii."""
+    """Return a press by light and by table, in code values (h, w, 3), how far from it pixels see, in radii, and it."""
     placed = fit.placed
     reach_mm = max(MODELLED_MM, 1.25 * SCORED_RADII * placed.mark_mm[press])  # it may be off its mark
     seen = placed.seen(press, pose_mm)
     normals = seen.normals.reshape(placed.reference.shape)
-    plain = placed.at_level(press, table.picture(placed.clean_reference, normals, placed.camera))
+    plain = placed.at_level(press, table.picture(placed.clean_reference, normals, placed.camera), fit.field)
     lit = placed.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
-    away_mm = seen.positions[:, :2] - pose_mm[:2]
-    return lit, plain, away_mm / placed.profiles[press].contact_radius_mm(pose_mm[2])
+    radius_mm = placed.profiles[press].contact_radius_mm(pose_mm[2])
+    away = (seen.positions[:, :2] - pose_mm[:2]) / radius_mm
+    return lit, plain, away, np.array([*pose_mm[:2] / placed.half_view_mm, radius_mm])
 
 
 def _drawn(fit: LightFit, part: np.ndarray) -> list[_Drawn]:
     """Return the presses of a part as the fit without it draws them."""
     table, expected = fit.normal_table(), [(press, fit.expected_mm(press)) for press in part.tolist()]
     return [_Drawn(fit, press, table, _pictures(fit, table, press, pose)) for press, pose in expected]
-
-
-def _with_residuals(drawn: Sequence[_Drawn], share: float) -> list[_Drawn]:
-    """Return the presses, all of one ball, drawn with what their fits leave around it."""
-    tables = {press.fit: press.table for press in drawn}
-    residuals = {fit: fit.ball_residual(table, share) for fit, table in tables.items()}
-    return [replace(press, residual=residuals[press.fit]) for press in drawn]
 
 
 def _predicts_better(drawn: Sequence[_Drawn], other: Sequence[_Drawn], share: float) -> bool:

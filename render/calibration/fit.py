@@ -291,21 +291,20 @@ class LightFit:
         change = (self.code - untouched) * self.usable
         return NormalTable(np.linalg.solve(normal, columns.T @ change), half_mm)
 
-    def ball_residual(self, table: NormalTable, share: float) -> BallResidual | None:
-        """Return what light and a share of a table leave around the fitted contacts; None if of several balls."""
+    def ball_residual(self, share: float) -> BallResidual | None:
+        """Return what light and a share of the table leave around the fitted contacts; None if of several balls."""
         diameters_mm = {self.placed.presses[k].sphere_diameter_mm for k in self.which}
         if len(diameters_mm) > 1:
             return None
         half_mm, seen = self.placed.half_view_mm, self._seen(self.presses)
-        change = NormalTable.columns(seen.normals, self.plane_mm, half_mm) @ table.coefficients
+        change = NormalTable.columns(seen.normals, self.plane_mm, half_mm) @ self.normal_table().coefficients
         by_table = 255 * srgb_encode(self.base * self.factor) + change
         left = share * (self.code - by_table) - (1 - share) * self.residual
         own = zip(self.profiles, self.presses, strict=True)
         radii_mm = np.array([profiles.contact_radius_mm(pose[2]) for profiles, pose in own])
-        places_mm = self.presses[self.index, :2]
-        away = (seen.positions[:, :2] - places_mm) / radii_mm[self.index, None]
-        points = np.hstack([away, places_mm / half_mm])
-        return BallResidual.fitted(diameters_mm.pop(), radii_mm, points, left, self.usable)
+        contacts = np.column_stack([self.presses[:, :2] / half_mm, radii_mm])
+        away = (seen.positions[:, :2] - self.presses[self.index, :2]) / radii_mm[self.index, None]
+        return BallResidual.fitted(diameters_mm.pop(), contacts, self.index, away, left, self.usable)
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""

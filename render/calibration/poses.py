@@ -122,10 +122,10 @@ class PlacedPresses:
         """Return the linear picture of a press at the reference's level."""
         return srgb_decode(self.presses[press].picture / 255) / self.levels[press]
 
-    def at_level(self, press: int, code: np.ndarray) -> np.ndarray:
-        """Return code values of a picture without dots at the level of a press's picture, with the reference's dots."""
-        linear = srgb_decode(code / 255) * self.levels[press] * (1 if self.dots is None else self.dots)
-        return 255 * srgb_encode(linear)
+    def at_level(self, press: int, code: np.ndarray, field: FarField) -> np.ndarray:
+        """Return code values of a picture without dots as a press changes it far away, with the reference's dots."""
+        factor = self.levels[press] * (1 if field.loaded is None else field.loaded)
+        return 255 * srgb_encode(srgb_decode(code / 255) * factor * (1 if self.dots is None else self.dots))
 
     def far_field(self, which: np.ndarray) -> FarField:
         """Return what some of the presses change where none reaches, from those parts of their pictures."""

@@ -74,8 +74,9 @@ def test_one_indenter_is_configured_as_before() -> None:
     (several,) = make_recipes(["mb0i0"], PATH, indenter=Sphere(), further_indenters=(Cone(),))
     assert several.frames == 2 * recipe.frames
     assert type(several)(**several.configuration()).key == several.key
+    coefficients = ((0.0, 0.0, 1.0),) * 648
     residual = BallResidual(
-        diameter_mm=4.0, contact_radii_mm=(1.0, 1.2), coefficients=((0.0, 0.0, 1.0),) * 486
+        diameter_mm=4.0, least=(0.0, 0.0, 1.0), largest=(1.0, 1.0, 1.2), coefficients=coefficients
     )
     fitted = recipe.sensor.model_copy(update={"marks_off": ((0.1, 0.0, 0.0),) * 4, "ball_residual": residual})
     assert recipe.model_copy(update={"sensor": fitted}).key == recipe.key

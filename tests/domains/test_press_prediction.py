@@ -73,8 +73,9 @@ def test_a_ball_is_drawn_with_what_the_fit_left_around_it_and_another_without(
     own, rng = profiles({BALL_MM})[BALL_MM], np.random.default_rng(0)
     picture = renderer.picture(*own.membrane((0.0, 0.0), DEPTH_MM, EXTENT_MM))
     cv2.imwrite(str(tmp_path / "a.png"), np.clip(picture[..., ::-1] + 3.0, 0, 255))
-    radii_mm, points = np.full(2, own.contact_radius_mm(DEPTH_MM)), rng.uniform(-2.6, 2.6, (4000, 4))
-    residual = BallResidual.fitted(BALL_MM, radii_mm, points, np.full((4000, 3), 3.0), np.ones((4000, 3)))
+    contacts = np.array([[0.0, 0.0, own.contact_radius_mm(DEPTH_MM)]])
+    index, away, left = np.zeros(4000, int), rng.uniform(-2.6, 2.6, (4000, 2)), np.full((4000, 3), 3.0)
+    residual = BallResidual.fitted(BALL_MM, contacts, index, away, left, np.ones((4000, 3)))
     fitted = tmp_path / "fitted.toml"
     save_sensor(sensor.model_copy(update={"ball_residual": residual}), fitted)
     press = f'{BALL}point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '

@@ -30,6 +30,7 @@ from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.imaging import srgb_decode, srgb_encode
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import Scattered
+from gelgap.render.normal_table import BallResidual
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
 
@@ -513,15 +514,31 @@ def test_what_a_fit_leaves_around_balls_draws_a_press_that_it_has_not_seen(pictu
     placed = place_presses(start.camera, renderer.reference(), presses, {3.0: own})
     fit, pose = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5)), placed.poses_mm[5]
     away = (placed.seen(5, pose).positions[:, :2] - pose[:2]) / own.contact_radius_mm(0.6)
-    left = fit.ball_residual(fit.normal_table(), 0.0).around(away, pose[:2] / placed.half_view_mm)
+    contact = np.array([*pose[:2] / placed.half_view_mm, own.contact_radius_mm(0.6)])
+    left = fit.ball_residual(0.0).around(away, contact)
     plain = placed.picture_of(fit.light, fit.field, 5, pose, 20.0)
     gain_db = np.subtract(placed.scores(5, plain + left.reshape(plain.shape)), placed.scores(5, plain))
     assert gain_db.min() > 2, gain_db
     fit.usable[:, 2] = 0.0
-    assert not np.array(fit.ball_residual(fit.normal_table(), 0.0).coefficients)[:, 2].any()
+    assert not np.array(fit.ball_residual(0.0).coefficients)[:, 2].any()
     other = replace(placed.presses[1], sphere_diameter_mm=4.0)
     fit.placed = replace(placed, presses=(placed.presses[0], other, *placed.presses[2:]))
-    assert fit.ball_residual(fit.normal_table(), 0.0) is None
+    assert fit.ball_residual(0.0) is None
+
+
+def test_what_is_left_changes_over_the_radius_of_enough_contacts_and_no_further_than_they_do():
+    def left_at(radius_mm, count):
+        contacts = np.column_stack([np.zeros((count, 2)), np.linspace(1.0, 1.2, count)])
+        index, points = np.repeat(np.arange(count), 300), np.random.default_rng(0).uniform(-2, 2, (300, 2))
+        left = np.repeat(50 * (contacts[index, 2:] - 1.1), 3, axis=1)
+        residual = BallResidual.fitted(
+            3.0, contacts, index, np.tile(points, (count, 1)), left, np.ones_like(left)
+        )
+        return residual.around(np.full((1, 2), 0.5), np.array([0.0, 0.0, radius_mm]))[0, 0]
+
+    assert left_at(1.2, 8) == pytest.approx(left_at(1.3, 8)) == pytest.approx(5, rel=0.2)
+    assert left_at(1.1, 8) == pytest.approx(0, abs=0.1)
+    assert left_at(1.2, 7) == pytest.approx(0, abs=0.1)
 
 
 def test_what_is_left_around_balls_is_kept_if_it_gains_more_than_it_costs():
