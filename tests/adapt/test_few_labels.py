@@ -113,5 +113,5 @@ def test_bad_frames_are_refused(stage1, target):
         )
         with pytest.raises(ValueError, match="must have one range"):
             improve(stage1, wide)
-    with pytest.raises(ValueError, match="fine-tune first, then correct"):
+    with pytest.raises(ValueError, match="fine-tune, then correct"):
         fine_tune(affine_correction(stage1, target.take(np.arange(3))), target)
