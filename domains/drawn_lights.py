@@ -1,5 +1,6 @@
 """A domain in several drawn lights, like that of a picture without contact: to train for a light nobody measured."""
 
+import logging
 import math
 from collections.abc import Sequence
 
@@ -12,6 +13,7 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination
 from gelgap.sim import PosePath
 
+LOG = logging.getLogger(__name__)
 LIGHTS = 8
 """Domains that one becomes; together they have its frames."""
 CANDIDATES = 1000
@@ -71,6 +73,11 @@ def in_drawn_lights(
         If the picture has other proportions than the recipe's, or fewer pixels than the comparison takes.
     """
     kinds = kinds or [Illumination.preset(name) for name in KINDS]
+    reach_mm = max(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
+    lamp_mm = min(math.hypot(*led.position_mm[:2]) for kind in kinds for led in kind.leds)
+    if lamp_mm < reach_mm:
+        text = "lamps %.1f mm off the middle are turned into a view that reaches %.1f mm: name other lamps"
+        LOG.warning(text, lamp_mm, reach_mm)
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
     path, recipes = recipe.path, []
     if recipe.interpolated:
