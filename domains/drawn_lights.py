@@ -13,7 +13,6 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination
 from gelgap.sim import PosePath
 
-LOG = logging.getLogger(__name__)
 LIGHTS = 8
 """Domains that one becomes; together they have its frames."""
 CANDIDATES = 1000
@@ -73,23 +72,17 @@ def in_drawn_lights(
         If the picture has other proportions than the recipe's, or fewer pixels than the comparison takes.
     """
     kinds = kinds or [Illumination.preset(name) for name in KINDS]
-    reach_mm = max(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
+    view_mm = max(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
     lamp_mm = min(math.hypot(*led.position_mm[:2]) for kind in kinds for led in kind.leds)
-    if lamp_mm < reach_mm:
+    if lamp_mm < view_mm:
         text = "lamps %.1f mm off the middle are turned into a view that reaches %.1f mm: name other lamps"
-        LOG.warning(text, lamp_mm, reach_mm)
+        logging.getLogger(__name__).warning(text, lamp_mm, view_mm)
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
     path, recipes = recipe.path, []
     if recipe.interpolated:
         # Each serves its own contacts from the library of all: they are solved once.
-        whole = (
-            recipe.elastomer,
-            recipe.indenter,
-            recipe.solved_path(),
-            recipe.quality,
-            recipe.library_reach_mm,
-        )
-        if library := Contacts.interpolated(*whole).library:
+        whole = recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality
+        if library := Contacts.interpolated(*whole, recipe.library_reach_mm).library:
             ranges = library.ranges
             reach_mm = ranges.shallowest_mm, ranges.deepest_mm, ranges.travel_mm
             recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})
