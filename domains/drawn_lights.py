@@ -1,5 +1,6 @@
 """A domain in several drawn lights, like that of a picture without contact: to train for a light nobody measured."""
 
+import logging
 import math
 from collections.abc import Sequence
 
@@ -71,12 +72,17 @@ def in_drawn_lights(
         If the picture has other proportions than the recipe's, or fewer pixels than the comparison takes.
     """
     kinds = kinds or [Illumination.preset(name) for name in KINDS]
+    view_mm = max(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
+    lamp_mm = min(math.hypot(*led.position_mm[:2]) for kind in kinds for led in kind.leds)
+    if lamp_mm < view_mm:
+        text = "lamps %.1f mm off the middle are turned into a view that reaches %.1f mm: name other lamps"
+        logging.getLogger(__name__).warning(text, lamp_mm, view_mm)
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
     path, recipes = recipe.path, []
     if recipe.interpolated:
         # Each serves its own contacts from the library of all: they are solved once.
-        pressed = recipe.elastomer, recipe.indenter, recipe.solved_path()
-        if library := Contacts.interpolated(*pressed, recipe.quality, recipe.library_reach_mm).library:
+        whole = recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality
+        if library := Contacts.interpolated(*whole, recipe.library_reach_mm).library:
             ranges = library.ranges
             reach_mm = ranges.shallowest_mm, ranges.deepest_mm, ranges.travel_mm
             recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})

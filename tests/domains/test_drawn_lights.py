@@ -47,6 +47,14 @@ def test_every_contact_is_in_one_light(recipe):
     assert not any(one & other for i, one in enumerate(points) for other in points[:i])
 
 
+def test_lamps_that_would_stand_in_view_are_named(recipe, caplog):
+    wide = recipe.sensor.model_copy(update={"camera": recipe.sensor.camera.showing(35.0)})
+    for sensor in (recipe.sensor, wide):
+        in_drawn_lights(recipe.model_copy(update={"sensor": sensor}))
+    (warned,) = caplog.messages
+    assert warned.startswith("lamps 9.5 mm off the middle are turned into a view that reaches 17.5 mm")
+
+
 def test_a_random_path_is_solved_once_for_all_lights():
     (whole,) = make_recipes(["wmb0i0"], "cpu-random", quality="draft", size_px=(64, 48))
     in_lights = in_drawn_lights(whole)
