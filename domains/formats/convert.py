@@ -34,7 +34,7 @@ LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
 """What is pressed harder than this is in contact."""
 TABLE = "frames.csv"
-COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "split")
+COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "trajectory_id", "step", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 _COUNTED = (".avi", ".mp4", ".mov")  # the others state no number of pictures, but how long they are
@@ -132,7 +132,7 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
         if not is_plain_name(domain):
             raise ValueError(f"the session's name {domain!r} is not one of a folder")
         tables = []
-        for own in members:
+        for clip, own in enumerate(members):
             facts, folder = own.facts, out_dir / domain / own.facts.name
             LOG.info("writing %s/%s", facts.session, facts.name)
             folder.mkdir(parents=True)
@@ -147,6 +147,8 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
                 "reference": f"{facts.name}/reference.png",
                 "session": facts.session,
             }
+            if "time_s" in own.table:
+                places |= {"trajectory_id": clip, "step": own.table.index}
             tables.append(own.table.assign(**places))
             yield facts
         write_picture_table(out_dir / domain, pd.concat(tables))

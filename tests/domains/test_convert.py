@@ -24,7 +24,9 @@ def test_a_users_recordings_are_lined_up_by_their_clocks(tmp_path: Path, caplog:
         ("mine", "press-2", 0),
     ]
     rows = rows_of(tmp_path / "out/mine")
-    assert list(rows[0]) == ["picture", "reference", "fx_n", "fz_n", "clip", "object", "session", "time_s"]
+    columns = "picture reference fx_n fz_n clip object session time_s trajectory_id step"
+    assert list(rows[0]) == columns.split()
+    assert {(row["clip"], row["trajectory_id"]) for row in rows} == {("press-1", "0"), ("press-2", "1")}
     assert {row["object"] for row in rows} == {"press"}
     on_video, of_pictures = (force_of(tmp_path / "out/mine", name) for name in ("press-1", "press-2"))
     assert "not read, since no CSV table has their name: no-table.mp4" in caplog.messages
