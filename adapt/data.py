@@ -115,10 +115,8 @@ def split_for_training(
         _check_wholly_labelled(source, names)
         _check_wholly_labelled(target, names)
     # Drawn anew for each, the parts of both differ.
-    may_differ = profile.split_by in ("random", "given") and (
-        len(source.members) > 1 or not is_labelled.all()
-    )
-    if may_differ and target.digest in [own.digest for own in source.members]:
+    differ = profile.split_by in ("random", "given") and (len(source.members) > 1 or not is_labelled.all())
+    if differ and target.digest in [own.digest for own in source.members]:
         raise ValueError(f"target {target.name} is a source too: split_by must be point or a column")
     source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
     if len(target_train) < 2:
@@ -375,17 +373,19 @@ def network_inputs(
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures, windows=windows)
-    if input_map is not None or not frames.owners:
-        return NetworkInputs(pictures, input_map or shown.fit(pictures), windows)
-    maps = {own: _map_of(own, profile, device) for own in set(frames.owners)}
+    if input_map is not None or profile.input not in FITTED or not frames.owners:
+        return NetworkInputs(pictures, input_map or _map_of(frames, profile, pictures), windows)
+    maps = {}
+    for own in set(frames.owners):
+        maps[own] = _map_of(own, profile, own.torch(profile.image_size_px, profile.pairing, device))
     each = [maps[frames.owners[number]] for number in frames.reference_id]
     of_frames = tuple(torch.tensor(values, device=device) for values in zip(*each, strict=True))
     return NetworkInputs(pictures, None, windows, of_frames)
 
 
-def _map_of(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap:
+def _map_of(frames: LabelledFrames, profile: Profile, pictures: PairedFrames) -> InputMap:
     try:
-        return INPUTS[profile.input].fit(frames.torch(profile.image_size_px, profile.pairing, device))
+        return INPUTS[profile.input].fit(pictures)
     except ValueError as error:
         raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
 

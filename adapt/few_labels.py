@@ -113,7 +113,7 @@ def fine_tune(
     if model.correction is not None:
         raise ValueError("a model with an affine correction cannot be fine-tuned: fine-tune, then correct")
     if model.profile.sequence_length > 1:
-        raise ValueError("sequence models cannot be fine-tuned: few frames are no trajectory; correct them")
+        raise ValueError("sequence models cannot be fine-tuned: correct them, by whole trajectories")
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.own_map)
     force = torch.from_numpy(normalised_labels(frames)).to(model.device)
@@ -268,9 +268,7 @@ def pretrain_on_stream(
     """
     profile = Profile.named(profile)
     if profile.input in FITTED:
-        raise ValueError(
-            f"input {profile.input}: a stream has few pictures of each light; choose another input"
-        )
+        raise ValueError(f"input {profile.input}: a stream has few pictures of each light; choose another")
     out_dir, n = Path(out_dir), frames_per_epoch
     out_dir.mkdir(parents=True, exist_ok=True)
 
@@ -381,10 +379,9 @@ def finetune(
     shown, tested = open_domain(on), open_domain(test)
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
-    squeezed = [own.name for own in (shown, tested) if has_other_aspect(own.size_px, model.size_px)]
-    log_notes(
-        (shown, tested), [f"{name} has another aspect than the model: it is squeezed" for name in squeezed]
-    )
+    squeezed = [own for own in (shown, tested) if has_other_aspect(own.size_px, model.size_px)]
+    notes = [f"{own.name} has another aspect than the model: it is squeezed" for own in squeezed]
+    log_notes((shown, tested), notes)
     labelled = labelled_frames(with_labels(shown, model.labels))
     others = labelled_frames(with_labels(tested, model.labels))
     unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))

@@ -174,9 +174,7 @@ def rest_markers(
         try:
             yield number, _rest(reference.tobytes(), reference.shape, camera, size_px, span_mm)
         except ValueError as error:
-            raise ValueError(
-                f"input markers: {frames.name}: {error}; choose another input for this domain"
-            ) from None
+            raise ValueError(f"input markers: {frames.name}: {error}; choose another input") from None
 
 
 def dents(frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]) -> np.ndarray:
@@ -203,19 +201,12 @@ def _rest(
 
 INPUTS = {
     "pictures": Input("the picture and its reference as the profile pairs them"),
-    "calibrated": Input(
-        "colours turned into slopes by one matrix a domain", calibration, needs_difference=True
-    ),
+    "calibrated": Input("colours as slopes, by one matrix a domain", calibration, needs_difference=True),
     "standardised": Input("each channel standardised by its domain's pictures", standardisation),
     "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
     "markers": Input("how far markers have moved", None, 2, needs_difference=True, find=displacement_fields),
     "touch": Input(
-        "dents around the place where their contact began",
-        None,
-        2,
-        needs_difference=True,
-        find=dents,
-        from_touch=True,
+        "dents around the place of first touch", None, 2, needs_difference=True, find=dents, from_touch=True
     ),
     "pretrained": Input("features of a pretrained network (--weights), whose weights stay", frozen=True),
 }

@@ -76,8 +76,6 @@ def with_modulus_ratio(model: ForceModel, ratio: float) -> ForceModel:
         raise ValueError(f"ratio of moduli = {ratio:g}: must be finite and above 0")
     scales = [unit in _UNITS for _, unit in model.labels.quantities]
     if not any(scales):
-        raise ValueError(
-            f"the model predicts {', '.join(model.labels.names)}: no force that a modulus would scale"
-        )
+        raise ValueError(f"it predicts {', '.join(model.labels.names)}: no force that a modulus would scale")
     gain = tuple(float(ratio) if scaled else 1.0 for scaled in scales)
     return model.corrected(AffineCorrection(gain, (0.0,) * len(gain)))

@@ -122,9 +122,7 @@ class ForceModel:
         pictures = picture if picture.ndim == 4 else picture[None]
         for what, image in (("picture", pictures[:1]), ("reference", reference[None])):
             if image.dtype != np.uint8 or image.ndim != 4 or image.shape[3] != 3:
-                raise ValueError(
-                    f"the {what} is {image.dtype} {image.shape[1:]}; it must be uint8 RGB (h, w, 3)"
-                )
+                raise ValueError(f"the {what} is {image.dtype} {image.shape[1:]}, not uint8 RGB (h, w, 3)")
         (height, width), (w0, h0) = pictures.shape[1:3], self.size_px
         if reference.shape[:2] != (height, width):
             raise ValueError(
@@ -229,9 +227,7 @@ class ForceModel:
         if model.profile.input == "markers" and "camera" not in content:
             raise ValueError(f"{path} learned markers in pixels, which are now shown in mm; train it again")
         if named is not None and named.partition("#")[0] != model.profile.backbone.partition("#")[0]:
-            raise ValueError(
-                f"{path} has the backbone {model.profile.backbone}, not {backbone}; leave that out"
-            )
+            raise ValueError(f"{path} has the backbone {model.profile.backbone}, not {backbone}: omit it")
         return model
 
     @classmethod
@@ -242,6 +238,8 @@ class ForceModel:
         # Before a network of that size is made.
         if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
             raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
+        if "recurrent.weight_hh_l0" in state:
+            raise ValueError("a GRU reads its sequences, as until 0.3.0: train it again")
         labels = Labels.of(dict(zip(content["labels"], content["label_ranges"], strict=True)))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
@@ -300,7 +298,7 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...], profi
     except RuntimeError as error:
         raise ValueError(
             f"checkpoint {path} was trained with another network ({then.backbone}, width {then.width:g}, "
-            f"{then.pairing}, input {then.input}); use the same profile"
+            f"{then.pairing}, input {then.input}, sequence_length {then.sequence_length}); use the same profile"
         ) from error
 
 

@@ -43,7 +43,7 @@ from gelgap.domains.sweep import unseen_differences
 
 LOG = logging.getLogger(__name__)
 _RESUME = "resume.pt"
-_METHODS_VERSION = 4
+METHODS_VERSION = 4
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
     name
@@ -410,7 +410,7 @@ def _key(
     content = {
         "frames": [[frames.name, frames.digest, len(frames)] for frames in parts],
         "method": method,
-        "methods_version": _METHODS_VERSION,
+        "methods_version": METHODS_VERSION,
         "profile": profile.model_dump(mode="json", exclude={"name"}, exclude_defaults=True),
         "seed": seed,
         "weights": None if weights is None else file_sha256(Path(weights)),

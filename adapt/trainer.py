@@ -26,6 +26,7 @@ from gelgap.adapt.data import (
     generator,
     hidden_batches,
     mix_colours,
+    network_inputs,
     shift_pictures,
     steps_per_epoch,
     turn_dents,
@@ -90,6 +91,8 @@ def train_source(
         raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names, profile)
+    if INPUTS[profile.input].from_touch:
+        _note_contacts_alone(source, profile, model.device)
     with torch_threads(profile.threads), torch.random.fork_rng(devices=[]):
         records = train(
             model.network,
@@ -107,6 +110,13 @@ def train_source(
     model.network.eval()
     history = tuple(map(asdict, records))
     return replace(model, history=history, input_map=input_map(source, profile, model.device))
+
+
+def _note_contacts_alone(source: LabelledFrames, profile: Profile, device: torch.device) -> None:
+    shown = network_inputs(source, profile, device)
+    if all(shown.inputs(row).any() for row in torch.arange(len(shown)).split(1)):
+        told = "no training frame is without contact, and the network reads a force where there is none"
+        LOG.warning("input %s: %s: %s; add some", profile.input, source.name, told)
 
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:

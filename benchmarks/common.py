@@ -216,9 +216,7 @@ def _read(file: Path) -> dict[str, dict[str, Any]]:
         except ValueError as error:
             if number < len(lines):  # the last one has no end if a kill cut it off
                 reason = " ".join(str(error).split())[:120]
-                LOG.warning(
-                    "%s, line %d, is damaged (%s): left out, and measured again", file, number, reason
-                )
+                LOG.warning("%s, line %d, is damaged (%s): left out, measured again", file, number, reason)
             continue
         records[key_of(record[_JOB])] = record
     arrays = {key: _read_arrays(file, key, record.pop(_ARRAYS, None)) for key, record in records.items()}

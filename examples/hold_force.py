@@ -78,6 +78,7 @@ class PressEnv(gymnasium.Env):
         self.sensor.reset()
         self.target = float(self.np_random.uniform(*self.targets))
         self._place_mm, self._steps = np.zeros(3), 0
+        self._touched_mm, self._travel_mm = np.zeros(2), 0.0
         self._show(self.sensor.step(0.0))
         return self._observation(), self._info()
 

@@ -94,18 +94,14 @@ def mk_mmd(source: Tensor, target: Tensor, robust: bool = False, unbiased: bool 
 class RobustSettings(MethodSettings):
     """Settings of a method whose kernel's bandwidth may follow the median."""
 
-    robust: bool = Field(
-        default=False, description="median instead of mean squared distance as kernel bandwidth"
-    )
+    robust: bool = Field(default=False, description="median, not mean, squared distance as kernel bandwidth")
 
 
 class DAN(Method):
     """Regression with MK-MMD on the transfer feature."""
 
     class Settings(RobustSettings):
-        unbiased: bool = Field(
-            default=False, description="U-statistic (may be negative) instead of V-statistic"
-        )
+        unbiased: bool = Field(default=False, description="U-statistic (may be negative), not V-statistic")
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return mk_mmd(source.features, target.features, self.settings.robust, self.settings.unbiased)

@@ -67,9 +67,7 @@ def measure_inputs(study: Study) -> None:
         If no group can show what was chosen.
     """
     if lights := [name for name in study.inputs if name not in INPUTS]:
-        raise ValueError(
-            f"--inputs {' '.join(lights)}: random lights are entries of the part `leaderboard` alone"
-        )
+        raise ValueError(f"--inputs {' '.join(lights)}: random lights are for the part `leaderboard` alone")
     methods = study.known_methods() or METHODS
     runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
     if not runs:

@@ -20,7 +20,7 @@ from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
-from gelgap.adapt.runs import Group, Stage1, versions
+from gelgap.adapt.runs import METHODS_VERSION, Group, Stage1, versions
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
@@ -206,12 +206,12 @@ def train_once(stage1: Stage1, method: str) -> float:
 
 
 def configuration_of(profile: Profile, *data: Any) -> str:
-    """Return a hash of all that methods have in common: a profile without their settings, and recipe and files of data.
+    """Return a hash of what methods share: version of the training, profile without settings, recipe and files of data.
 
     The files hold labels and pictures, so that pictures of another processor are another configuration.
     """
     common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
-    return sha256(canonical_json([common, *data]))[:12]
+    return sha256(canonical_json([METHODS_VERSION, common, *data]))[:12]
 
 
 @cache
@@ -233,8 +233,9 @@ def begun_by_touches(frames: SplitFrames, source: LabelledFrames, target: Labell
         columns |= {"trajectory_id": columns["point_id"], "reference_id": np.zeros(len(parts[name]), int)}
         # A touch comes after the first frame of all, which is without contact.
         columns["step"] = np.append(2 * contacts.columns["frame_id"], np.ones(len(touches), int))
-        for axis in () if name.endswith("train") else contacts.labels.names:
-            columns[axis][len(contacts) :] = np.nan
+        if not name.endswith("train"):
+            for axis in contacts.labels.names:
+                columns[axis][len(contacts) :] = np.nan
     return replace(frames, **parts)
 
 
@@ -287,9 +288,7 @@ def adapt_run(study: Study, run: Setting) -> Results:
 def state_digest(model: ForceModel) -> str:
     """Return the SHA-256 of a model's weights and running statistics: who has the same starts where this run did."""
     state = model.network.state_dict().items()
-    return sha256(
-        b"".join(name.encode() + values.cpu().contiguous().numpy().tobytes() for name, values in state)
-    )
+    return sha256(b"".join(name.encode() + own.cpu().contiguous().numpy().tobytes() for name, own in state))
 
 
 def control_of(method: str) -> str | None:

@@ -68,9 +68,10 @@ def dents_from_touch(frames: LabelledFrames, size_px: tuple[int, int]) -> np.nda
             sizes_px.append([])
         sizes_px[-1].append(len(dent_px))
         shown[row] = dent_at(change, centre_px, size_px)
+    # A single contact may be what a few pictures to predict show of one.
     followed = [sizes for sizes in sizes_px if len(sizes) > 1]
     late = sum(sizes[0] > _LATE * max(sizes) for sizes in followed)
-    if 2 * late > len(followed):
+    if late > 1 and 2 * late > len(followed):
         LOG.warning(
             f"input touch: {frames.name}: {late} of {len(followed)} contacts begin with a dent that is hardly smaller "
             "than it becomes, so that they may have been dragged before: begin each with a picture of a straight touch "

@@ -53,7 +53,8 @@ class JoinedFrames(LabelledFrames):
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
         self.rest_pictures = [read for frames in domains for read in frames.rest_pictures]
-        self.owners = [frames for frames in domains for _ in frames.rest_pictures]
+        each = [own.owners or [own] * len(own.rest_pictures) for own in domains]
+        self.owners = [owner for owners in each for owner in owners]
         self.cameras = [camera for frames in domains for camera in frames.cameras]
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 

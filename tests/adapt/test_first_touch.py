@@ -1,7 +1,5 @@
 """Dents around the place of first touch: as far from the middle as dragged, turned with forces, or refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -101,10 +99,11 @@ def test_forces_are_turned_with_their_dents():
 
 
 @pytest.mark.parametrize("length", [1, 3])
-def test_a_network_is_trained_on_dents_and_reads_pictures_one_by_one_as_frames(length: int, tmp_path: Path):
+def test_a_network_is_trained_on_dents_and_reads_pictures_one_by_one_as_frames(length, tmp_path, caplog):
     frames, profile = trajectories(), TOUCH.replace(sequence_length=length)
     split = split_for_training(frames, frames, profile, 0)
     model = adapt(train_source(split.source_train, profile), split.source_train, split.target_train, "dan")
+    assert "without contact" not in caplog.text
     model.save(tmp_path / "model.pt")
     model = ForceModel.load(tmp_path / "model.pt")
     rows = list(predict_each(model, [(f"{k}.png", frames.picture(k)) for k in range(7)], frames.reference))
@@ -121,7 +120,10 @@ def test_what_has_no_first_touch_is_refused_or_said(caplog):
     frames = trajectories()
     with pytest.raises(ValueError, match="few labelled frames lack their first touch"):
         affine_correction(untrained(frames, TOUCH), frames)
+    dents_from_touch(frames.take(np.array([2, 3])), SIZE_PX)  # of one contact
     assert "input touch" not in caplog.text
+    train_source(frames.take(np.isin(frames.columns["step"], (1, 2, 3, 4))), TOUCH)
+    assert "input touch: drags: no training frame is without contact" in caplog.text
     dents_from_touch(frames.take(np.isin(frames.columns["step"], (2, 3, 4))), SIZE_PX)
     assert "drags: 8 of 8 contacts begin with a dent that is hardly smaller than it becomes" in caplog.text
     for without, message in (

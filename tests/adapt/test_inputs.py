@@ -8,7 +8,8 @@ from gelgap.adapt import ForceModel, Profile, adapt, train_source
 from gelgap.adapt.data import network_inputs, size_notes
 from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
-from gelgap.domains import ArrayFrames, join_domains, with_labels
+from gelgap.adapt.model import input_map
+from gelgap.domains import ArrayFrames, LabelledFrames, join_domains, with_labels
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)
@@ -29,8 +30,8 @@ def dents(light: np.ndarray, name: str = "dents", count: int = 40, seed: int = 0
     return ArrayFrames(name, images, reference, force_n)
 
 
-def shown(frames: ArrayFrames, name: str) -> np.ndarray:
-    profile = Profile.preset("smoke").replace(input=name, colour_mixing=0.0)
+def shown(frames: LabelledFrames, name: str, length: int = 1) -> np.ndarray:
+    profile = Profile.preset("smoke").replace(input=name, colour_mixing=0.0, sequence_length=length)
     return network_inputs(frames, profile, torch.device("cpu")).inputs(np.arange(len(frames))).numpy()
 
 
@@ -79,14 +80,17 @@ def test_channels_of_each_input():
     np.testing.assert_allclose(standardised.mean(axis=(0, 2, 3)), 0, atol=1e-3)
     np.testing.assert_allclose(standardised.std(axis=(0, 2, 3)), 1, atol=1e-3)
     np.testing.assert_allclose(shown(frames, "grey")[:, 0], shown(frames, "pictures").mean(axis=1), atol=1e-5)
+    grey = Profile.preset("smoke").replace(input="grey", colour_mixing=0.0)
+    assert input_map(join_domains([frames, frames]), grey, torch.device("cpu"))  # one for all
     assert all(entry.about for entry in INPUTS.values())
 
 
 def test_pictures_without_a_dent_cannot_be_calibrated():
     flat = np.full((4, 48, 64, 3), 128, np.uint8)
     frames = ArrayFrames("flat", flat, flat[0], np.zeros((4, 3)))
-    with pytest.raises(ValueError, match="input calibrated: flat: no picture shows a dent"):
-        shown(join_domains([dents(np.eye(3)[:, :2]), frames]), "calibrated")
+    for shows_none in (frames, join_domains([dents(np.eye(3)[:, :2]), frames])):
+        with pytest.raises(ValueError, match="input calibrated: flat: no picture shows a dent"):
+            shown(shows_none, "calibrated")
 
 
 @pytest.mark.parametrize("name", ["calibrated", "grey"])
@@ -185,7 +189,9 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     frozen = profile.replace(input="pretrained")
     with pytest.raises(ValueError, match="needs the weights of a pretrained network"):
         train_source(frames, frozen)
-    with pytest.raises(ValueError, match=r"\(resnet18, width 0\.125, difference, input pictures\)"):
+    with pytest.raises(
+        ValueError, match=r"\(resnet18, width 0\.125, difference, input pictures, sequence_length 1\)"
+    ):
         train_source(frames, frozen.replace(pairing="stack"), weights=tmp_path / "start.pt")
     start = ForceModel.load(tmp_path / "start.pt").network
     trained = train_source(frames, frozen, weights=tmp_path / "start.pt").network
@@ -194,13 +200,18 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
 
 
-@pytest.mark.parametrize("name", ["calibrated", "standardised", "grey"])
+@pytest.mark.parametrize("name", ["calibrated", "standardised"])
 def test_each_of_several_sources_is_shown_by_a_map_of_its_own(name):
     light = np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
     one, other = dents(light, "one"), dents(light[[1, 0, 2]], "other", seed=1)
     own, several = np.concatenate([shown(one, name), shown(other, name)]), join_domains([one, other])
     rows = np.array([45, 1, 70])
     np.testing.assert_allclose(shown(several.take(rows), name), own[rows], atol=1e-5)
+    for frames in (one, other):
+        frames.columns |= {"trajectory_id": np.zeros(40, int), "step": np.arange(40)}
+    nested = join_domains([join_domains([one, other]), one])
+    pairs = np.concatenate([own[np.r_[0, 0:39, 40, 40:79]], own], axis=1)
+    np.testing.assert_allclose(shown(nested, name, length=2)[:80], pairs, atol=1e-5)
     changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0, "input": name}
     stage1 = train_source(several.take(np.arange(0, 80, 2)), Profile.preset("smoke").replace(**changes))
     np.testing.assert_allclose(stage1.predict_n(several)[40:], stage1.predict_n(other), atol=1e-5)

@@ -105,8 +105,8 @@ def test_dots_are_found_and_followed_or_the_picture_is_refused(profile, tmp_path
         ((64, 80), (32, 40), r"the picture is 80×64 px and the reference 40×32 px; both must be of one size"),
         ((64, 64), (64, 64), r"the picture is 64×64 px; the model is for pictures of 40×32 px"),
         ((24, 30), (24, 30), r"pictures are 30×24 px and are only down-sampled"),
-        ((64,), (64, 80), r"the picture is uint8 \(64, 3\); it must be uint8 RGB"),
-        ((64, 80), (2, 64, 80), r"the reference is uint8 \(2, 64, 80, 3\); it must be"),
+        ((64,), (64, 80), r"the picture is uint8 \(64, 3\), not uint8 RGB"),
+        ((64, 80), (2, 64, 80), r"the reference is uint8 \(2, 64, 80, 3\), not uint8"),
     ],
 )
 def test_what_the_model_cannot_be_shown_is_refused(picture, reference, message, stage1):

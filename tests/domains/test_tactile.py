@@ -93,6 +93,7 @@ def test_each_task_rewards_what_it_is_for(sensor: TactileSensor) -> None:
     assert abs(hold.step(np.array([1.0, 0, 0]))[-1]["force_n"][0]) < 1e-4
     slide = PressEnv(sensor, "slide", targets=(0.5, 0.5))
     slide.reset(seed=1)
+    assert slide.step(np.full(3, np.nan))[-1]["refused"]
     flown = [slide.step(np.array([depth, 1.0, 0]))[1:3] for depth in [0.0] * 11 + [1.0]]
     assert flown[-1] == (0.0, False)
     slide.reset(seed=1)
