@@ -81,8 +81,8 @@ def test_bad_input_is_one_line_and_exit_code_2(
     [
         (["press", "--quality", "superb"], ("superb", "standard")),
         (["press", "--depth-mm", "deep"], ("--depth-mm", "deep")),
-        (["press", "--depth-mm", "0,6"], ("0,6: write 0.6, with a decimal point",)),
-        (["press", "--depth-mm=0.6mm"], ("0.6mm: write 0.6, ", "without a unit")),
+        (["press", "--depth-mm", "0,6"], ("0,6: write 0.6, with a decimal point", "a space parts two")),
+        (["press", "--depth-mm=0.6mm"], ("0.6mm: write 0.6, ", "no unit")),
         (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
         (["press", "--shear-mm", "1"], ("--shear-mm", "2 values")),
         (["generate", "mb0i0"], ("Missing", "--out")),

@@ -219,7 +219,7 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
     text = "picture,fz_n\n0.png,0\n1.png,-2500\n1.png,-2500\n"
     notes = " ".join(open_domain(picture_folder(tmp_path, text)).notes)
     assert "1 rows name a picture that a row before them names" in notes
-    assert "'fz_n' reaches 2500 N, beyond any sensor: in mN, or no value?" in notes
+    assert "'fz_n' reaches 2500 N, beyond any sensor: is it mN, or no reading?" in notes
     assert "no unit" not in notes
 
 
