@@ -19,9 +19,7 @@ Words = tuple[tuple[str, ...], ...]
 
 _LIKE_A_NUMBER = re.compile("(?P<number>[-+]?[0-9]+[.,]?[0-9]*)(?P<unit>([µumc]?m|m?N|deg|°|px|s)?)")
 Set = Annotated[
-    Words,
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint=""),
+    Words, tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="")
 ]
 
 

@@ -105,11 +105,7 @@ def _layout_problem(folder: Path, files: list[Path], pictures: list[Path]) -> st
         found = (path for path in folder.glob(deeper) if path.suffix.lower() in (*TABLES, *SUFFIXES))
         inside = inside or sorted({str(path.parent.relative_to(folder)) for path in found})
     what = "does not exist" if not folder.exists() else "is not a data set"
-    hint = (
-        f"did you mean {comma_list(inside)} in it?"
-        if inside
-        else "gelgap.domains.ArrayFrames makes a data set of arrays"
-    )
+    hint = f"did you mean {comma_list(inside)} in it?" if inside else "for arrays: gelgap.domains.ArrayFrames"
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
         f"(the published layout), or with pictures ({', '.join(SUFFIXES)}) and at most one CSV table; {hint}"
