@@ -196,7 +196,7 @@ class Calibrate(opt.Command):
         reference = self.reference or (path.parent / listed.reference if listed.reference else None)
         mm_per_px = self.mm_per_px or (listed.mm_per_px if self.sensor is None else None)
         if reference is None or (self.sensor is None) == (mm_per_px is None):
-            raise ValueError(f"{path}: a list of presses needs --reference, and --mm-per-px or --sensor")
+            raise ValueError(f"{path}: a press list needs --reference, and either --mm-per-px or --sensor")
         presses, picture = listed.pictures(path.parent), read_image(reference)
         camera = render.Camera.showing(picture.shape[1] * mm_per_px) if mm_per_px else render.Camera()
         start = render.Sensor(name=self.out.stem, camera=camera, markers=render.Markers(layout="none"))

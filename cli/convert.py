@@ -97,7 +97,7 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         if clip.begins_in_contact:
             noted["begins with a force, so its reference is its first picture; is Fz 0 at rest?"].append(name)
         if clip.correlation is not None and clip.correlation < max(LEAST_LIKELY, -clip.correlation_at_0):
-            noted["pictures hardly follow the force: a steady light? Fz's sign, and 0 at rest?"].append(name)
+            noted["pictures hardly follow the force: steady light? right sign of Fz? 0 at rest?"].append(name)
         if clip.in_holes:
             noted["pictures without labels, in holes of the log"].append(f"{name} ({clip.in_holes})")
         for note in clip.notes:

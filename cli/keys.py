@@ -19,9 +19,7 @@ Words = tuple[tuple[str, ...], ...]
 
 _LIKE_A_NUMBER = re.compile("(?P<number>[-+]?[0-9]+[.,]?[0-9]*)(?P<unit>([µumc]?m|m?N|deg|°|px|s)?)")
 Set = Annotated[
-    Words,
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint=""),
+    Words, tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="")
 ]
 
 
@@ -107,7 +105,7 @@ def advice_on(words: tuple[str, ...], keys: Mapping[str, Meanings]) -> str:
         option, _, value = word.partition("=")
         if (like := _LIKE_A_NUMBER.fullmatch(value or word)) and ("," in word or like["unit"]):
             plain = like["number"].replace(",", ".")
-            return f"{like[0]}: write {plain}, with a decimal point and without a unit"
+            return f"{like[0]}: write {plain}, with a decimal point and no unit; a space parts two numbers"
         key = option.removeprefix("--").replace("-", "_")
         if option.startswith("--") and key in known:
             value = value or next(iter(words[number + 1 :]), "VALUE")

@@ -48,9 +48,7 @@ def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illuminati
 
 
 def in_drawn_lights(
-    recipe: DomainRecipe,
-    like: NDArray[np.uint8] | None = None,
-    kinds: Sequence[Illumination] | None = None,
+    recipe: DomainRecipe, like: NDArray[np.uint8] | None = None, kinds: Sequence[Illumination] | None = None
 ) -> tuple[DomainRecipe, ...]:
     """Return a domain as several, `name-1` and on, each in a drawn light and with its share of the contact points.
 

@@ -190,7 +190,7 @@ def frame_notes(frames: LabelledFrames) -> list[str]:
     notes = []
     if pulling := int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum()):
         notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
-    for index in np.unique(np.linspace(0, len(frames) - 1, _COMPARED).astype(int)) if len(frames) else ():
+    for index in np.linspace(0, len(frames) - 1, min(len(frames), _COMPARED)).astype(int):
         with contextlib.suppress(OSError, RuntimeError, ValueError):  # of damage others tell
             reference = frames.rest_pictures[frames.reference_id[index]]()
             if problem := mismatch(frames.picture(index), reference):
@@ -285,9 +285,7 @@ def _samples(frames: LabelledFrames) -> list[dict[str, bytes | str]]:
     order = np.argsort(frames.columns[names[-1]]) if names else np.arange(len(frames))
     if frames.has_classes:
         order = np.lexsort((frames.point_id, frames.contact_class))
-    chosen = (
-        order[np.unique(np.linspace(0, len(order) - 1, _MOST_SAMPLES).astype(int))] if len(order) else order
-    )
+    chosen = order[np.linspace(0, len(order) - 1, min(len(order), _MOST_SAMPLES)).astype(int)]
     shown: list[dict[str, bytes | str]] = [{"png": encode_png(frames.reference), "caption": "reference"}]
     for index in chosen.tolist():
         values = ", ".join(f"{frames.columns[name][index]:.2f}" for name in names) or f"frame {index}"

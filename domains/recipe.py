@@ -219,7 +219,7 @@ class DomainRecipe(Settings):
         if self.contacts == "paired":
             return self.path.poses
         if isinstance(self.path, PosePath):
-            raise ValueError(f"contacts = 'independent': needs a grid, and {self.path.name} lists its poses")
+            raise ValueError(f"contacts = 'independent': needs poses on a grid; {self.path.name} lists them")
         return independent_poses(self.path, self.seed, self.picture_name)
 
     def drawn_errors(self) -> DrawnErrors:

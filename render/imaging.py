@@ -85,7 +85,7 @@ def warn_if_blind(picture: np.ndarray) -> None:
     """Warn of an 8-bit picture in which nothing is seen."""
     if not _DARKEST < (level := picture.mean()) < _BRIGHTEST:
         what = "sees hardly any light" if level < 128 else "is saturated"
-        LOG.warning("the camera %s: check places (mm), facing and drive of the LEDs, and the camera's", what)
+        LOG.warning("the camera %s: check its exposure, and places (mm), facing and drive of the LEDs", what)
 
 
 def point_spread(linear: np.ndarray, camera: Camera) -> np.ndarray:
@@ -93,9 +93,8 @@ def point_spread(linear: np.ndarray, camera: Camera) -> np.ndarray:
     import cv2
 
     sigma = camera.point_spread_px * linear.shape[1] / 320
-    if (
-        sigma < 0.7
-    ):  # a Gaussian's samples have half its variance at 0.4 px, none at 0.2; three taps have it all
+    # A Gaussian's samples have half its variance at 0.4 px and none at 0.2; three taps have it all.
+    if sigma < 0.7:
         taps = np.array([sigma**2 / 2, 1 - sigma**2, sigma**2 / 2])
         return cv2.sepFilter2D(linear, -1, taps, taps, borderType=cv2.BORDER_REFLECT_101)
     return cv2.GaussianBlur(linear, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101)

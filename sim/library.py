@@ -22,14 +22,7 @@ from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
-from gelgap.sim.membrane import (
-    MembraneState,
-    PolarTable,
-    covered_extent_mm,
-    grid_axes,
-    is_folded,
-    press_onto,
-)
+from gelgap.sim.membrane import MembraneState, PolarTable, covered_extent_mm, grid_axes, is_folded, press_onto
 from gelgap.sim.path import PosePath
 from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
 from gelgap.sim.relief import unbridged

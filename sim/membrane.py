@@ -149,7 +149,7 @@ class MembraneState:
             raise ValueError(f"{path} is not an .npz file of arrays ({error})") from None
         missing = [name for name in _NEEDED if name not in arrays]
         if missing:
-            raise ValueError(f"{path} lacks {', '.join(missing)}: a state needs {', '.join(_NEEDED)}")
+            raise ValueError(f"{path} lacks {', '.join(missing)}: a membrane needs {', '.join(_NEEDED)}")
         for name in ("x_mm", "y_mm"):
             if arrays[name].ndim != 1:
                 raise ValueError(f"{name} in {path} has shape {arrays[name].shape}: must be (n,)")

@@ -88,7 +88,7 @@ def pose_for_force(
         if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
         sought *= normal_force_n / max(reached, normal_force_n / 2)  # a press of nanometres may reach 0 N
-    raise RuntimeError(f"load control is not within {100 * _FORCE_TOLERANCE:g} % of {normal_force_n:g} N")
+    raise RuntimeError(f"load control did not reach {normal_force_n:g} N within {100 * _FORCE_TOLERANCE:g} %")
 
 
 def path_on_gel(

@@ -26,11 +26,7 @@ def entry(status: str, info: str = "") -> str:
     ("status", "info", "gone"),
     [
         ("broken", "404 Client Error: Not Found for url: https://a.example", True),
-        (
-            "broken",
-            "HTTPSConnectionPool(host='a.example', port=443): Max retries exceeded with url",
-            False,
-        ),
+        ("broken", "HTTPSConnectionPool(host='a.example', port=443): Max retries exceeded with url", False),
         ("broken", "503 Server Error: Service Unavailable for url: https://a.example", False),
     ],
 )

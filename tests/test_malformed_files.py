@@ -120,10 +120,7 @@ MALFORMED: dict[str, dict[str, Content]] = {
         "no text": bytes(range(256)),
         "a cell without end": b'image,fx,fy,fz\n"' + b"a" * 200_000,
     },
-    "picture": {
-        "a bomb": png_that_claims(60_000, 60_000),
-        "no pixels": png_that_claims(0, 5),
-    },
+    "picture": {"a bomb": png_that_claims(60_000, 60_000), "no pixels": png_that_claims(0, 5)},
     "force.csv": {"huge label": b"Fx(N),Fy(N),Fz(N),label\n0,0,0,1e300\n"},
     "sensor": {
         "nested deeply": b"a = " + DEEP,

@@ -75,7 +75,7 @@ def export(
     if format_name not in FORMATS:
         raise ValueError(f"format {quoted(format_name)} is unknown; known formats: {', '.join(FORMATS)}")
     if license is not None and format_name != _WITH_CARD:
-        raise ValueError(f"license {quoted(license)} has no place in {format_name}: {_WITH_CARD} has a card")
+        raise ValueError(f"license {quoted(license)} has no place in {format_name}; {_WITH_CARD} has one")
     if license is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9.+-]{1,63}", license):
         raise ValueError(f"license {quoted(license)} must be an identifier such as apache-2.0 or cc-by-4.0")
     out_dir = Path(out_dir)
@@ -138,7 +138,7 @@ def _webdataset(frames: StoredFrames, folder: Path) -> None:
     columns = {name: values.tolist() for name, values in frames.columns.items()}
     held = frames.shards[0].schema.names if isinstance(frames, GeneratedDomain) else ()
     if left := sorted(set(held) - {*columns, "image"}):
-        LOG.warning("%s: tars hold no %s; huggingface does", frames.name, ", ".join(left))
+        LOG.warning("%s: tars hold no %s; the format huggingface does", frames.name, ", ".join(left))
     for split, indices in indices_by_part(frames).items():
         for start in range(0, len(indices), _SAMPLES_PER_TAR):
             path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"

@@ -96,7 +96,7 @@ def _pad_pictures(video: Path, corners_px: Corners) -> Iterator[np.ndarray]:
 def _pad_corners(clone: Path) -> Corners:
     table = clone / _CORNERS
     if not table.is_file():
-        raise ValueError(f"{clone} is no clone of EstimateModulus: it has no {_CORNERS}; get: {WEDGE_CLONE}")
+        raise ValueError(f"{clone} is no clone of EstimateModulus, lacks {_CORNERS}; get one: {WEDGE_CLONE}")
     columns = dict(read_table(table))
     try:
         rows = [columns["Name"].index(name) for name in _CORNER_NAMES]
@@ -165,7 +165,7 @@ def _ball_presses(clone: Path, name: str, every: int) -> Selection:
     folder, (prefix, ball_radius_mm) = clone / "data" / name, SERIES[name]
     paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
     if not paths:
-        raise ValueError(f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get: {BALL_CLONE}")
+        raise ValueError(f"{clone} is no clone of yanglh14/gelsight, lacks {folder}; get one: {BALL_CLONE}")
     pictures = np.stack([rectified(read_image(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
     centers_px = np.array([_center_px(path) for path in paths])
     # As a ball touches each place in few of them. The repository's `bg-0.jpg` is the same file in all series: some

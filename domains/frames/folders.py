@@ -101,15 +101,11 @@ def _layout_problem(folder: Path, files: list[Path], pictures: list[Path]) -> st
         if sheets and not any(map(_is_reference, files)):
             return f"has pictures and no CSV table: save {', '.join(sheets)} as CSV, with a column picture"
         return None
-    for deeper in ("*/*", "*/*/*"):
+    for deeper in ("[!.]*/*", "[!.]*/[!.]*/*"):
         found = (path for path in folder.glob(deeper) if path.suffix.lower() in (*TABLES, *SUFFIXES))
         inside = inside or sorted({str(path.parent.relative_to(folder)) for path in found})
     what = "does not exist" if not folder.exists() else "is not a data set"
-    hint = (
-        f"did you mean {comma_list(inside)} in it?"
-        if inside
-        else "arrays are made one by gelgap.domains.ArrayFrames"
-    )
+    hint = f"did you mean {comma_list(inside)} in it?" if inside else "for arrays: gelgap.domains.ArrayFrames"
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
         f"(the published layout), or with pictures ({', '.join(SUFFIXES)}) and at most one CSV table; {hint}"

@@ -39,8 +39,7 @@ class JoinedFrames(LabelledFrames):
             raise ValueError(f"data sets {', '.join(names)} share no label")
         self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
         self.columns["reference_id"] = _counted_on(
-            [frames.reference_id for frames in domains],
-            [len(frames.rest_pictures) for frames in domains],
+            [frames.reference_id for frames in domains], [len(frames.rest_pictures) for frames in domains]
         )
         # What was left out keeps its number: a split at random counts it.
         self.columns["frame_id"] = _counted_on(

@@ -44,10 +44,7 @@ def labelled_for_run(
 
 
 def labels_of_run(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    names: Sequence[str],
-    ranges: Mapping[str, Range] | None,
+    source: LabelledFrames, target: LabelledFrames, names: Sequence[str], ranges: Mapping[str, Range] | None
 ) -> tuple[Labels, tuple[str, ...]]:
     """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
 

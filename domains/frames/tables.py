@@ -91,7 +91,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
         If it is too large, no such table, has a row of another length than the header, or 1,000 may be a thousand.
     """
     if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path} has {path.stat().st_size >> 20} MiB; allowed are {MOST_BYTES >> 20}")
+        raise ValueError(f"{path} has {path.stat().st_size >> 20} MiB; at most {MOST_BYTES >> 20} are read")
     data = path.read_bytes()
     is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -224,7 +224,7 @@ def _known_columns(
                 notes.append(f"{header!r} is converted to {_own_unit(ours)}")
             largest = np.nanmax(np.abs(values))
             if _own_unit(ours) == "N" and largest > _LARGEST_LIKELY_N:
-                notes.append(f"{header!r} reaches {largest:g} N, beyond any sensor: in mN, or no value?")
+                notes.append(f"{header!r} reaches {largest:g} N, beyond any sensor: is it mN, or no reading?")
     for name in needed:
         if name not in found:
             there = ", ".join(header for header, _ in columns if header)

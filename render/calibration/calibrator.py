@@ -156,14 +156,15 @@ def calibrate_light(
     blind = [task.fit(np.setdiff1d(used, part)) for part in parts]
     drawn = [press for other, part in zip(blind, parts, strict=True) for press in _drawn(other, part)]
     share = table_share([press.levels(TABLE_SHARES) for press in drawn]) if drawn else 0.0
+    residual = fit.ball_residual(share) if drawn else None
     residuals = {other: other.ball_residual(share) for other in blind}
     whole = [replace(press, residual=residuals[press.fit]) for press in drawn]
-    has_residual = bool(drawn) and _predicts_better(whole, drawn, share)
-    held_out = [press.held_out(share) for press in (whole if has_residual else drawn)]
+    if residual is None or not _predicts_better(whole, drawn, share):
+        residual, whole = None, drawn
+    held_out = [press.held_out(share) for press in whole]
     if held_out:
         _check_prediction(held_out)
     lit, own = task.lit_sensor(fit), [fit.placed.profiles[k] for k in used]
-    residual = fit.ball_residual(share) if has_residual else None
     volumes = [one.volume_mm3(pose[2]) for one, pose in zip(own, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit.model_copy(update={"table_share": share, "ball_residual": residual}),

@@ -16,15 +16,9 @@ from gelgap.cli.options import OutputFile
 WRONG: dict[str, tuple[str, str]] = {
     "between": ("press --force-n nan", "--force-n = 'nan': must lie in [1e-06, 10000] N"),
     "input_folder": ("export no-such-folder --out o", "no-such-folder"),
-    "OutputFile": (
-        "press --save file.txt/below.npz",
-        "--save = 'file.txt/below.npz': the folder file.txt",
-    ),
+    "OutputFile": ("press --save file.txt/below.npz", "--save = 'file.txt/below.npz': the folder file.txt"),
     "output_folder": ("generate mb0i0 --out file.txt/below", "file.txt is a file; name a folder"),
-    "workers": (
-        "generate mb0i0 --out x --workers foo",
-        "--workers = 'foo': scheduler 'foo' must be",
-    ),
+    "workers": ("generate mb0i0 --out x --workers foo", "--workers = 'foo': scheduler 'foo' must be"),
     "check_what": ("generate mb9i0 --out o", "what = 'mb9i0': domain 'mb9i0' is unknown"),
     "list_presets": ("presets gels", "kind = 'gels'"),
     "force_ranges": ("generate mb0i0 --out o --range fz_n=0", "--range = 'fz_n=0'"),

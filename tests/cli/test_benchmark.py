@@ -27,10 +27,7 @@ def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (["sensors"], "--data is missing"),
-        (["physics", "--data", "."], "--data is for benchmarks of real"),
-    ],
+    [(["sensors"], "--data is missing"), (["physics", "--data", "."], "--data is for benchmarks of real")],
 )
 def test_what_a_benchmark_does_not_take_is_refused_before_all_else(arguments, message, tmp_path, refused):
     assert message in refused("benchmark", *arguments, "--out", tmp_path / "out")

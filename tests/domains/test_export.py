@@ -148,7 +148,7 @@ def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: 
     ("format_name", "license", "message"),
     [
         ("huggingface", "mine: all", "license 'mine: all' must be an identifier such as apache-2.0"),
-        ("paper", "mit", "license 'mit' has no place in paper: huggingface has a card"),
+        ("paper", "mit", "license 'mit' has no place in paper; huggingface has one"),
     ],
 )
 def test_a_licence_that_no_card_can_state_is_refused(data, tmp_path, format_name, license, message):

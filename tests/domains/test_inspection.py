@@ -9,6 +9,7 @@ import pytest
 
 from gelgap.domains import ArrayFrames, open_domain, verify_domain
 from gelgap.domains.formats.export import export
+from gelgap.domains.formats.pictures import mismatch
 from gelgap.domains.frames.folders import domain_folders
 from gelgap.domains.inspection import frame_notes, inspect_domain, write_overview
 
@@ -40,6 +41,12 @@ def test_a_picture_that_is_not_of_its_reference_is_noted(data: Path, change: Cal
     pictures = np.stack([change(frames.picture(index)) for index in (0, 20)])
     notes = frame_notes(ArrayFrames("own", pictures, frames.reference, None))
     assert [said in note for note in notes] == [True] * bool(said)
+
+
+def test_a_dent_that_turns_the_shading_round_is_not_taken_for_a_mirrored_picture():
+    reference = np.tile(np.linspace(100, 140, 80, dtype=np.uint8)[:, None], (60, 1, 3))
+    assert "left and right exchanged" in mismatch(reference[:, ::-1], reference)
+    assert mismatch(reference[:, ::-1] + np.uint8(12), reference) == ""
 
 
 @pytest.mark.parametrize("name", ["frames-00000.parquet", "reference.png", "manifest.json"])

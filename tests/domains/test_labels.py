@@ -70,10 +70,7 @@ def test_a_range_moves_only_where_it_must(values, start, found):
     ("columns", "message"),
     [
         ({"fz_n": "inf"}, "column 'fz_n': every row must hold a finite number or nothing, .* holds 'inf'"),
-        (
-            {"fz_n": -1.0, "reference": "../rest.png"},
-            r"must be a path from .* to a picture in it, as rest",
-        ),
+        ({"fz_n": -1.0, "reference": "../rest.png"}, r"must be a path from .* to a picture in it, as rest"),
     ],
 )
 def test_what_a_table_lacks_is_named(tmp_path: Path, columns: dict, message: str):

@@ -131,10 +131,7 @@ def test_an_equilibrium_that_did_not_converge_flags_the_poses_around_it(checked:
     ("pose", "message"),
     [
         (Pose(depth_mm=0.2), "depth_mm = 0.2: the library ends at 0.1 mm"),
-        (
-            Pose(depth_mm=0.08, shear_x_mm=0.1),
-            "shear = 0.1 mm: at a depth of 0.08 mm the library ends",
-        ),
+        (Pose(depth_mm=0.08, shear_x_mm=0.1), "shear = 0.1 mm: at a depth of 0.08 mm the library ends"),
         (Pose(depth_mm=0.08, point_x_mm=11.0), "a library serves points"),
     ],
 )

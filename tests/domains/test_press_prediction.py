@@ -115,10 +115,7 @@ def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
         (BOX + BALL.partition("\n")[2], "must have either sphere_diameter_mm or indenter"),
         (BALL + "depth_mm = 0.3\n", "press 1 (ball) must have point_mm"),
         (BALL + "depth_mm = 1.8\npoint_mm = [0.0, 0.0]\n", "between 0 and the sphere's radius"),
-        (
-            BALL + 'depth_mm = 0.3\npicture = "small.png"\n',
-            "is a picture of 24×16 px, and the fit is of",
-        ),
+        (BALL + 'depth_mm = 0.3\npicture = "small.png"\n', "is a picture of 24×16 px, and the fit is of"),
     ],
 )
 def test_presses_that_cannot_be_are_refused(tmp_path: Path, sensor: Sensor, text: str, problem: str) -> None:

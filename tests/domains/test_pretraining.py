@@ -7,12 +7,7 @@ from gelgap.domains import PretrainingRanges, pretraining_recipes
 from gelgap.domains.generation.plan import plan_generation
 
 RANGES = PretrainingRanges(
-    **{
-        **PretrainingRanges.default().model_dump(),
-        "presses": 2,
-        "depths": 2,
-        "young_modulus_mpa": (0.1, 0.4),
-    }
+    **{**PretrainingRanges.default().model_dump(), "presses": 2, "depths": 2, "young_modulus_mpa": (0.1, 0.4)}
 )
 
 

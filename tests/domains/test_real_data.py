@@ -187,10 +187,7 @@ def picture_folder(folder: Path, text: str) -> Path:
     ("text", "problem"),
     [
         ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
-        (
-            "picture;fx;fz\n0.png;.1;0\n1.png;.1;-0,5\n",
-            "row 2 below the header holds '-0,5'; write",
-        ),
+        ("picture;fx;fz\n0.png;.1;0\n1.png;.1;-0,5\n", "row 2 below the header holds '-0,5'; write"),
         ("picture fz_n\n0.png 0\n1.png -0.5\n", "tabs must separate columns; its header is 'picture fz_n'"),
         ("picture;fz_mN\n0.png;-500\n1.png;-1,000\n", "'-1,000' may be a thousand or not: write -1000"),
         ("picture;fz_mN\n0.png;-500\n1.png;-1.000\n", "'-1.000' may be a thousand or not: write -1000 or"),
@@ -198,14 +195,8 @@ def picture_folder(folder: Path, text: str) -> Path:
         ("picture,fz_n\n0.png,0\n1.png,-0,5\n", "row 2 below the header has 3 cells, and the header 2"),
         ("picture,fz_n,fx\n0.png,0,0\n1.png,-0.5\n", "row 2 below the header has 2 cells, and the header 3"),
         ("picture,fz_n\n0.png,0\n,-0.5\n", "column 'picture': row 2 below the header holds nothing"),
-        (
-            "picture,fz_n\n0.png,0\n7.png,-0.5\n",
-            "the picture '7.png' in row 2 below the header",
-        ),
-        (
-            "picture,fz_n,label\n0.png,0,0.2\n1.png,-1,0.9\n",
-            "number, and row 1 below the header holds '0.2'",
-        ),
+        ("picture,fz_n\n0.png,0\n7.png,-0.5\n", "the picture '7.png' in row 2 below the header"),
+        ("picture,fz_n,label\n0.png,0,0.2\n1.png,-1,0.9\n", "number, and row 1 below the header holds '0.2'"),
         ("picture,Normal Force (N)\n0.png,1\n", "'Normal Force .*' does not say which axis"),
         ("picture,Fz (mN),Fz (N)\n0.png,-50,-0.05\n", r"'Fz \(mN\)' and 'Fz \(N\)' mean the same, fz_n"),
     ],
@@ -219,7 +210,7 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
     text = "picture,fz_n\n0.png,0\n1.png,-2500\n1.png,-2500\n"
     notes = " ".join(open_domain(picture_folder(tmp_path, text)).notes)
     assert "1 rows name a picture that a row before them names" in notes
-    assert "'fz_n' reaches 2500 N, beyond any sensor: in mN, or no value?" in notes
+    assert "'fz_n' reaches 2500 N, beyond any sensor: is it mN, or no reading?" in notes
     assert "no unit" not in notes
 
 

@@ -194,16 +194,8 @@ def test_strata_are_in_every_part_by_their_share():
 @pytest.mark.parametrize(
     ("by", "stratify_by", "message"),
     [
-        (
-            "clp",
-            None,
-            r"split_by = 'clp': data set clips has no such column; known: random, point, given",
-        ),
-        (
-            "clip",
-            "objects",
-            r"stratify_by = 'objects': data set clips has no such column; .*clip, object",
-        ),
+        ("clp", None, r"split_by = 'clp': data set clips has no such column; known: random, point, given"),
+        ("clip", "objects", r"stratify_by = 'objects': data set clips has no such column; .*clip, object"),
         ("object", "clip", r"a group that stays whole has more than one clip \(0, 2\)"),
         ("given", "object", "states its split: it cannot be stratified"),
         ("clip", None, r"3 groups \(clip\) are too few for a validation share"),

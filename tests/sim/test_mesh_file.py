@@ -105,12 +105,7 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
     [
         ("metres.stl", moved(BOX, 0, 1e-3), {}, "0.01 mm large .* set unit: .*m makes it 10 mm"),
         ("mm.glb", BOX, {}, "10000 mm large .*: mm makes it 10 mm"),
-        (
-            "far.stl",
-            moved(BOX, 1e6),
-            {},
-            "from its origin that its file's numbers round it to 0.062 mm",
-        ),
+        ("far.stl", moved(BOX, 1e6), {}, "from its origin that its file's numbers round it to 0.062 mm"),
         ("box.stl", BOX, {"unit": "furlong"}, "unit = 'furlong': must be mm, cm, m"),
         ("box.stl", BOX, {"edge_radius_mm": 1.6}, r"edge_radius_mm = 1.6: must be less than 1.5 mm"),
         ("bowl.stl", overturned(HALF), {}, "lies 2 mm inside its convex hull, of 0.05 mm .*flip = true"),

@@ -94,9 +94,7 @@ def test_the_surface_in_contact_is_the_sphere(descent: tuple[MembraneState, ...]
     np.testing.assert_allclose(distance, BALL.radius_mm, atol=1e-4)
 
 
-def test_the_contact_radius_grows_within_the_geometric_one(
-    descent: tuple[MembraneState, ...],
-) -> None:
+def test_the_contact_radius_grows_within_the_geometric_one(descent: tuple[MembraneState, ...]) -> None:
     radii = [state.contact_radius_mm for state in descent[:3]]
     assert np.all(np.diff(radii) > 0)
     for radius, depth in zip(radii, (0.1, 0.2, 0.4), strict=True):

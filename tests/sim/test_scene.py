@@ -49,9 +49,7 @@ def test_a_bad_value_is_named(field: str, value: object) -> None:
 
 @pytest.mark.parametrize(("friction", "static"), [(0.5, 0.4), (0.0, 0.3)])
 def test_static_friction_is_no_less_than_kinetic_which_it_needs(friction: float, static: float) -> None:
-    with pytest.raises(
-        ValueError, match=f"static_friction = {static:g}: must be at least friction, {friction:g}"
-    ):
+    with pytest.raises(ValueError, match=f"static_friction = {static:g}: must be at least friction"):
         Elastomer(**{**GEL, "friction": friction, "static_friction": static})
     assert "static_friction" not in Elastomer(**GEL).model_dump()
 

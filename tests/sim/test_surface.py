@@ -140,7 +140,7 @@ def test_a_height_map_is_pressed_at_its_scale(tmp_path: Path, caplog: pytest.Log
         (np.eye(20), {"spacing_mm": 0.1, "diameter_mm": 3}, "diameter_mm: a surface has none"),
     ],
 )
-def test_no_height_map_is_refused(tmp_path: Path, values: np.ndarray, fields: dict, message: str) -> None:
+def test_what_is_no_map_is_refused(tmp_path: Path, values: np.ndarray, fields: dict, message: str) -> None:
     np.save(tmp_path / "map.npy", values)
     with pytest.raises(ValueError, match=message):
         load_indenter(str(tmp_path / "map.npy"), **fields)
@@ -150,11 +150,7 @@ def test_no_height_map_is_refused(tmp_path: Path, values: np.ndarray, fields: di
     ("name", "text", "message"),
     [
         ("a.toml", b"shape = ['sphere']", r"shape = \['sphere'\]: must be a name in quotes"),
-        (
-            "a.toml",
-            b"object = 'nut'\nedge_radius_mm = '1'",
-            "edge_radius_mm = '1': input should be",
-        ),
+        ("a.toml", b"object = 'nut'\nedge_radius_mm = '1'", "edge_radius_mm = '1': input should be"),
         ("a.toml", b"map = 'a.csv'\nspacing_mm = 0.1", r"a\.csv': a height map's name ends in \.npy, \.png"),
         ("a.npy", b"PK\3\4", "is not a .npy file of numbers"),
         ("a.png", cv2.imencode(".png", np.eye(20)[..., None] * [9, 9, 9, 9])[1].tobytes(), "are transparent"),
