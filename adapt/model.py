@@ -238,8 +238,6 @@ class ForceModel:
         # Before a network of that size is made.
         if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
             raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
-        if "recurrent.weight_hh_l0" in state:
-            raise ValueError("a GRU reads its sequences, as until 0.3.0: train it again")
         labels = Labels.of(dict(zip(content["labels"], content["label_ranges"], strict=True)))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
