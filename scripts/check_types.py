@@ -13,18 +13,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 
-def rooms() -> dict[str, str]:
-    """Return the folder of each room by its name."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    return {name.removeprefix("gelgap."): folder for name, folder in settings["package-dir"].items()}
-
-
 def main() -> int:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     with tempfile.TemporaryDirectory() as folder:
         namespace = Path(folder) / "gelgap"
         namespace.mkdir()
-        for room, place in rooms().items():
-            (namespace / room).symlink_to(ROOT / place, target_is_directory=True)
+        for room, place in settings["package-dir"].items():
+            (namespace / room.removeprefix("gelgap.")).symlink_to(ROOT / place, target_is_directory=True)
         (Path(folder) / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
         options = ["--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(ROOT / ".mypy_cache")]
         command = [sys.executable, "-m", "mypy", *options, "-p", "gelgap", "-p", "examples"]
