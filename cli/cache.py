@@ -28,20 +28,22 @@ class Cache(opt.Command):
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
+        from gelgap.assets.locks import cache_folder
         from gelgap.domains.frames.stored import clear_picture_cache
         from gelgap.render.light.spectra import clear_led_cache
-        from gelgap.sim.solution import cache_entries, cache_use, clear_cache
+        from gelgap.sim.solution import cache_entries, cached_files, clear_cache
 
+        files, verb = cached_files(), "deleted" if self.clear else "holds"
+        size = sum(file.stat().st_size for file in files)
         if self.clear:
             clear_led_cache()
             if pictures := clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
-            use, verb = clear_cache(), "deleted"
+            clear_cache()
         else:
             for entry in cache_entries():
                 print(_line(entry))
-            use, verb = cache_use(), "holds"
-        print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
+        print(f"{cache_folder()} {verb} {len(files)} solutions, {size / 1e6:.1f} MB")
 
 
 def _line(entry: "CacheEntry") -> str:

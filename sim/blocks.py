@@ -108,7 +108,12 @@ def split_cells(
         [np.column_stack([on_face, first_body + own[face]])[own[face] >= 0] for own in names.T]
     )
     vertices = np.concatenate([points, centres, _middles(centres, names)])
-    return _outwards(vertices, tetrahedra.astype(np.int32))
+    tetrahedra = tetrahedra.astype(np.int32)
+    # Corners are ordered so that volumes are positive.
+    places = vertices[tetrahedra]
+    negative = np.linalg.det(places[:, 1:] - places[:, :1]) < 0
+    tetrahedra[negative] = tetrahedra[negative][:, [1, 0, 2, 3]]
+    return vertices, tetrahedra
 
 
 class _Sides(NamedTuple):
@@ -246,11 +251,3 @@ def _middles(centres: Floats, pairs: Ints) -> Floats:
     middle = centres[face[order[first]]]
     middle[:, 2] = (middle[:, 2] + centres[face[order[last]], 2]) / 2
     return middle
-
-
-def _outwards(vertices: Floats, tetrahedra: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
-    """Order each tetrahedron's corners so that its volume is positive."""
-    corners = vertices[tetrahedra]
-    negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-    tetrahedra[negative] = tetrahedra[negative][:, [1, 0, 2, 3]]
-    return vertices, tetrahedra

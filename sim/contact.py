@@ -196,7 +196,8 @@ class FrictionalContacts:
         if not loaded.any() or self._friction == 0:
             return -1.0
         nodes = self.nodes[loaded]
-        moved = data.qvel[gel.dofs(nodes)].reshape(-1, 3) - data.qvel[gel.indenter_dof]
+        first_dof = gel.vertex_dof[gel.vertex_of_geom[nodes]]
+        moved = data.qvel[first_dof[:, None] + np.arange(3)] - data.qvel[gel.indenter_dof]
         normal = self._indenter.project(self._places_mm()[nodes] + moved).outward_normal
         frames = data.contact.frame.reshape(-1, 3, 3)
         force = (np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign)[loaded]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import grey_dilation
 
 from gelgap.sim.indenter import Floats
 
@@ -42,33 +43,15 @@ def rolled_mm(heights_mm: Floats, radius_mm: float, spacing_mm: float) -> Floats
         return heights_mm
     x = np.arange(-reach, reach + 1) * spacing_mm
     square = radius_mm**2 - (x[:, None] ** 2 + x**2)
-    # `_highest` leaves out places beyond the ball, which have -inf.
-    ball = np.where(square >= 0, np.sqrt(np.maximum(square, 0.0)), -np.inf)
+    inside, ball = square >= 0, np.sqrt(np.maximum(square, 0.0))
     # Beyond the grid there is nothing.
     heights = np.pad(heights_mm, 2 * reach, constant_values=np.inf)
-    for inwards in (True, False, False, True):
-        heights = _highest(heights, ball) if inwards else -_highest(-heights, ball)
+    for sign in (1, -1, -1, 1):
+        # The highest sum of values around a place and a ball's height there.
+        heights = sign * grey_dilation(
+            sign * heights, footprint=inside, structure=ball, mode="constant", cval=-np.inf
+        )
     return heights[2 * reach : -2 * reach, 2 * reach : -2 * reach]
-
-
-@njit(cache=True)
-def _highest(values: Floats, ball: Floats) -> Floats:
-    """Return for each place the highest sum of values around it and a ball's height there."""
-    rows, columns = values.shape
-    size = ball.shape[0]
-    reach = size // 2
-    found = np.full(values.shape, -np.inf)
-    for row in range(rows):
-        for column in range(columns):
-            best = -np.inf
-            for a in range(max(0, reach - row), min(size, rows - row + reach)):
-                for b in range(max(0, reach - column), min(size, columns - column + reach)):
-                    if ball[a, b] >= 0:
-                        value = values[row + a - reach, column + b - reach] + ball[a, b]
-                        if value > best:
-                            best = value
-            found[row, column] = best
-    return found
 
 
 @njit(cache=True)

@@ -49,10 +49,6 @@ class GelModel:
     indenter_geom: int
     indenter_body: int
 
-    def dofs(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the dofs (3 n,) of nodes (n,)."""
-        return (self.vertex_dof[self.vertex_of_geom[nodes]][:, None] + np.arange(3)).ravel()
-
 
 def build_gel_model(problem: ContactProblem) -> GelModel:
     """Compile the model of a problem on its mesh."""

@@ -306,7 +306,10 @@ class StaticNewton:
         Of a `kept_tangent` there is a factor, and MuJoCo is not asked.
         """
         model, data = self.gel.model, self.data
-        self._set_up_solver()
+        # MuJoCo sets up its solver's problem; with an endless tolerance the solver ends where it starts.
+        model.opt.tolerance = np.inf
+        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        self.contacts.soften()
         if self._contact_newton is None:
             self._contact_newton = ContactNewton(self.gel, data, elimination_groups(self.problem))
         try:
@@ -328,12 +331,6 @@ class StaticNewton:
         mujoco.mj_fwdConstraint(model, data)
         if data.solver_niter[0] > 0 or not np.array_equal(data.qacc, acceleration):
             data.qacc[:] = np.nan
-
-    def _set_up_solver(self) -> None:
-        """Let MuJoCo set up its solver's problem; with an endless tolerance the solver ends where it starts."""
-        self.gel.model.opt.tolerance = np.inf
-        mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
-        self.contacts.soften()
 
     def _add_slip(self, start: State, furthest_mm: float, turn: Floats | None) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether loaded ones slid further."""

@@ -10,6 +10,7 @@ from typing import Literal, Self
 
 import numpy as np
 
+from gelgap.assets.names import unknown_name
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.scene import Elastomer, Moduli, PadEdges, Scene
 from gelgap.sim.shapes import AnyIndenter
@@ -145,13 +146,6 @@ QUALITIES = {
 _MOST_CELLS_ALONG = {"draft": 20, "standard": 32, "fine": 48}
 
 
-def quality_named(name: str) -> Quality:
-    """Return the quality of that name, or raise ValueError that lists the known ones."""
-    if name not in QUALITIES:
-        raise ValueError(f"quality {name!r} is unknown; known qualities: {', '.join(QUALITIES)}")
-    return QUALITIES[name]
-
-
 @dataclass(frozen=True)
 class ContactProblem:
     """An indenter led through waypoints over a gel, in a frame with the contact point as its origin.
@@ -190,6 +184,8 @@ class ContactProblem:
 
         A command is a displacement (x, y, z) in mm, and a rotation vector (x, y, z) in degrees if it turns.
         """
+        if scene.quality not in QUALITIES:
+            raise ValueError(unknown_name("quality", scene.quality, QUALITIES))
         # Adding 0 turns −0, which would have another key, into 0.
         commands = [tuple(float(c) + 0.0 for c in command) for command in commands]
         turns = tuple(command[3:] for command in commands)
@@ -205,7 +201,7 @@ class ContactProblem:
             pad_mm=pad_mm,
             waypoints_mm=tuple(command[:3] for command in commands),
             parents=tuple(parents),
-            quality=quality_named(scene.quality),
+            quality=QUALITIES[scene.quality],
             turns_deg=turns if any(map(any, turns)) else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )

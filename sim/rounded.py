@@ -133,7 +133,7 @@ class Shape(Indenter):
             return self
         from scipy.spatial.transform import Rotation
 
-        whole = Rotation.from_matrix(rotation(np.array(turn_deg)) @ self._turn)
+        whole = Rotation.from_matrix(rotation(np.array(turn_deg)) @ self.axes)
         _, _, z, w = whole.as_quat()
         yaw_deg = math.degrees(2 * math.atan2(z, w))
         tilt = (whole * Rotation.from_euler("z", -yaw_deg, degrees=True)).as_rotvec(degrees=True)
@@ -143,8 +143,8 @@ class Shape(Indenter):
         return self.model_copy(update={"yaw_deg": yaw_deg, "tilt_deg": tilt_deg})
 
     @property
-    def _turn(self) -> Floats:
-        """The rotation (3, 3) from the upright body's axes to the sensor's."""
+    def axes(self) -> Floats:
+        """The rotation (3, 3) from the axes of the body as it is not turned to the sensor's."""
         return _rotation(self.yaw_deg, self.tilt_deg)
 
     @property
@@ -153,7 +153,7 @@ class Shape(Indenter):
 
     def reach_mm(self, directions: Floats) -> Floats:
         """Return how far (n,) the body reaches from its origin in directions (n, 3)."""
-        return self._support_mm(directions @ self._turn)
+        return self._support_mm(directions @ self.axes)
 
     @property
     def feature_size_mm(self) -> float:
@@ -165,17 +165,17 @@ class Shape(Indenter):
 
     @property
     def shallowest_mm(self) -> float:
-        return float(np.ptp(self._face_mm @ self._turn[2])) if any(self.tilt_deg) else 0.0
+        return float(np.ptp(self._face_mm @ self.axes[2])) if any(self.tilt_deg) else 0.0
 
     @property
     def mujoco_geom(self) -> str:
         ends = self._support_mm(np.concatenate([np.eye(3), -np.eye(3)]))
-        centre, half = self._turn @ (ends[:3] - ends[3:]) / 2, (ends[:3] + ends[3:]) / 2
-        texts = (_text(half), _text(centre), _text(self._turn[:, 0]), _text(self._turn[:, 1]))
+        centre, half = self.axes @ (ends[:3] - ends[3:]) / 2, (ends[:3] + ends[3:]) / 2
+        texts = (_text(half), _text(centre), _text(self.axes[:, 0]), _text(self.axes[:, 1]))
         return 'type="box" size="{}" pos="{}" xyaxes="{} {}"'.format(*texts)
 
     def project(self, points_mm: Floats) -> Projection:
-        turn, shape = self._turn, points_mm.shape
+        turn, shape = self.axes, points_mm.shape
         distance_mm, normal = self._nearest(points_mm.reshape(-1, 3) @ turn)
         normal = (normal @ turn.T).reshape(shape)
         distance_mm = distance_mm.reshape(shape[:-1])

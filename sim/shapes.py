@@ -280,7 +280,7 @@ class ConvexMesh(RoundedHull):
     def deepest_mm(self) -> float:
         if not self.above_mm:
             return super().deepest_mm
-        lowest_mm = float((_points_mm(self.above_mm) @ self._turn[2]).min()) + self.origin_height_mm
+        lowest_mm = float((_points_mm(self.above_mm) @ self.axes[2]).min()) + self.origin_height_mm
         return min(super().deepest_mm, max(_STAYS_OFF * lowest_mm, 0.0))
 
     @property

@@ -168,15 +168,6 @@ def _record(arrays: Mapping[str, Sequence[Any]], index: int) -> Record:
 
 
 @dataclass(frozen=True)
-class CacheUse:
-    """How many solutions the cache holds, and their size."""
-
-    folder: Path
-    solutions: int
-    bytes: int
-
-
-@dataclass(frozen=True)
 class CacheEntry:
     """One cached file: `problem` is None if it cannot be read; `current` says whether this version would take it."""
 
@@ -210,16 +201,15 @@ def store_solution(solution: Solution) -> None:
     write_whole(_path(solution.problem.key), solution_bytes(solution))
 
 
-def cache_use() -> CacheUse:
-    """Count what the cache holds."""
-    files = list(cache_folder().glob(f"*{_SUFFIX}"))
-    return CacheUse(cache_folder(), len(files), sum(file.stat().st_size for file in files))
+def cached_files() -> list[Path]:
+    """Return the files of the cached solutions."""
+    return list(cache_folder().glob(f"*{_SUFFIX}"))
 
 
 def cache_entries() -> tuple[CacheEntry, ...]:
     """Read what each cached file is, newest first."""
     entries = []
-    for file in cache_folder().glob(f"*{_SUFFIX}"):
+    for file in cached_files():
         try:
             about = file.stat()
         except FileNotFoundError:
@@ -231,13 +221,10 @@ def cache_entries() -> tuple[CacheEntry, ...]:
     return tuple(sorted(entries, key=lambda entry: entry.age_s))
 
 
-def clear_cache() -> CacheUse:
-    """Delete all cached solutions and return what there was."""
-    use = cache_use()
-    for suffix in (_SUFFIX, TEMPORARY_SUFFIX):
-        for file in cache_folder().glob(f"*{suffix}"):
-            file.unlink(missing_ok=True)
-    return use
+def clear_cache() -> None:
+    """Delete all cached solutions, and what writers that were killed have left."""
+    for file in (*cached_files(), *cache_folder().glob(f"*{TEMPORARY_SUFFIX}")):
+        file.unlink(missing_ok=True)
 
 
 def _path(key: str) -> Path:

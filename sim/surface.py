@@ -215,7 +215,7 @@ class Surface(Shape):
         points = grid.reshape(-1, 3)
         kept = np.isfinite(points[triangles, 2]).all(axis=1)
         used, triangles = np.unique(triangles[kept], return_inverse=True)
-        return points[used] @ self._turn.T, triangles.reshape(-1, 3)
+        return points[used] @ self.axes.T, triangles.reshape(-1, 3)
 
     def contact_radius_mm(self, depth_mm: float) -> float:
         return _cut(self, depth_mm).widest_mm
@@ -231,11 +231,6 @@ class Surface(Shape):
     def heights_mm(self) -> Floats:
         """Heights (rows, columns) of the underside as it is not turned, infinite where nothing is."""
         return _decoded_mm(self.heights, self.columns, self.step_mm)
-
-    @property
-    def axes(self) -> Floats:
-        """The rotation (3, 3) from the axes of `heights_mm` to the sensor's."""
-        return self._turn
 
     def with_heights(self, heights_mm: Floats) -> "Surface":
         """Return the body with other heights (rows, columns), none of them higher than its highest."""
@@ -458,7 +453,7 @@ def _cut(body: Surface, depth_mm: float) -> _Cut:
 
     grid = _grid_of(np.pad(body.heights_mm, 1, constant_values=np.inf), body.spacing_mm)
     solid = np.isfinite(grid[..., 2])
-    points = np.where(np.isfinite(grid), grid, 1e6) @ body._turn.T
+    points = np.where(np.isfinite(grid), grid, 1e6) @ body.axes.T
     above_mm = np.where(solid, points[..., 2] - (depth_mm - body.origin_height_mm), 1e6)
     below = above_mm < 0
     if not below.any():
@@ -481,7 +476,7 @@ def _cut(body: Surface, depth_mm: float) -> _Cut:
 @lru_cache(maxsize=64)
 def _curvature(body: Surface, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
     """Follow the normal half a step to either side of each place along the surface."""
-    points = body._points_mm @ body._turn.T
+    points = body._points_mm @ body.axes.T
     points = points[points[:, 2] < depth_mm - body.origin_height_mm]
     points = points[:: 1 + len(points) // _CURVED_PLACES]
     found = body.project(points)

@@ -12,7 +12,7 @@ from gelgap.sim.newton import solve
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.plan import SolvePlan, plan_solves, plan_visit
 from gelgap.sim.scene import Elastomer, Pose, Sharing
-from gelgap.sim.solution import cache_use, clear_cache, load_solution, store_solution
+from gelgap.sim.solution import cached_files, clear_cache, load_solution, store_solution
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 SMALL = GEL.model_copy(update={"pad_size_mm": (10.0, 8.0)})
@@ -111,14 +111,14 @@ def test_every_pose_is_served(cache: Path) -> None:
     # The solve is in the cache now, and a damaged file there is no solution.
     key = plan.solves[0].key
     assert load_solution(key) is not None
-    assert cache_use().solutions == 1
+    assert len(cached_files()) == 1
     (cache / f"{key}.solution").write_bytes(b"half a file")
     assert load_solution(key) is None
     _store_concurrently(solutions[key])
     assert load_solution(key).records[0].force_n.tobytes() == solutions[key].records[0].force_n.tobytes()
     assert not list(cache.glob("*.tmp"))
     clear_cache()
-    assert cache_use().solutions == 0
+    assert len(cached_files()) == 0
 
 
 def test_a_membrane_reaches_as_far_as_its_contact_and_as_it_must(cache: Path) -> None:
