@@ -5,7 +5,7 @@ and no shadows, and holds under the light that it was measured in. A fitted sens
 errors are others than those of a modelled light, so that both together often have less than either.
 
 The residual is what both leave around a ball, as the rim, a thinner line than a solved membrane's. Presses held out in
-three parts of seven sets gain 0.4 to 6.6 dB inside their contacts by it, and 1.2 to 6.4 around (results/sensors.md).
+three parts of seven sets gain 0.4 to 6.7 dB inside their contacts by it, and 1.8 to 6.4 around (results/sensors.md).
 """
 
 from dataclasses import dataclass
