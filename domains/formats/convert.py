@@ -147,9 +147,9 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
                 "reference": f"{facts.name}/reference.png",
                 "session": facts.session,
             }
-            if "time_s" in own.table:
-                places |= {"trajectory_id": clip, "step": own.table.index}
-            tables.append(own.table.assign(**places))
+            table = own.table.assign(**places)
+            is_recorded = "time_s" in table
+            tables.append(table.assign(trajectory_id=clip, step=table.index) if is_recorded else table)
             yield facts
         write_picture_table(out_dir / domain, pd.concat(tables))
 
