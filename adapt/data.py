@@ -162,6 +162,7 @@ def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
 
 
 def has_other_aspect(size_px: tuple[int, int], of_px: tuple[int, int]) -> bool:
+    """Return whether pictures of one width and height would be squeezed to another."""
     return abs(size_px[0] * of_px[1] / (size_px[1] * of_px[0]) - 1) > SAME_ASPECT
 
 

@@ -228,6 +228,8 @@ class EpochRecord:
         Effective rank of the last source batch's features.
     skipped_steps
         Steps whose loss or gradient was not finite.
+    wall_s
+        Time of the epoch.
     diagnostics
         Mean of each number that the method reports, over the steps that were not skipped.
     """

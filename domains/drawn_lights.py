@@ -13,6 +13,7 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination
 from gelgap.sim import PosePath
 
+LOG = logging.getLogger(__name__)
 LIGHTS = 8
 """Domains that one becomes; together they have its frames."""
 CANDIDATES = 1000
@@ -74,7 +75,7 @@ def in_drawn_lights(
     lamp_mm = min(math.hypot(*led.position_mm[:2]) for kind in kinds for led in kind.leds)
     if lamp_mm < view_mm:
         text = "lamps %.1f mm off the middle are turned into a view that reaches %.1f mm: name other lamps"
-        logging.getLogger(__name__).warning(text, lamp_mm, view_mm)
+        LOG.warning(text, lamp_mm, view_mm)
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
     path, recipes = recipe.path, []
     if recipe.interpolated:

@@ -30,8 +30,9 @@ _KNOTS = (*_NEAR, 1.55, 1.8, 2.15, 2.7, 3.5, 4.5)
 _ORDERS = 4  # of waves around the contact
 _WAVES = 2 * _ORDERS + 1
 _SHAPES = (len(_KNOTS) - 1) * _WAVES
-# By so much of a press it is drawn to 0, to the same everywhere, and its bends over the radius, without which small
-# contacts show rings; by so many times as much its slopes over place and radius of contacts.
+# The regularisation, in units of one press: `_RIDGE` draws each coefficient to 0 by its own weight, `_LEAST_RIDGE` all
+# by the same; `_BEND` smooths over the radius, without which small contacts show rings. Slopes over the contacts' place
+# and radius are regularised `_SLOPES` times as much.
 _RIDGE, _LEAST_RIDGE, _BEND, _SLOPES = 0.15, 1e-3, 1.0, 3.0
 _BY_RADIUS = np.diff(np.eye(len(_KNOTS))[:, :-1], 2, axis=0)
 _BENDS = np.kron(_BY_RADIUS.T @ _BY_RADIUS, np.eye(_WAVES))
