@@ -391,6 +391,27 @@ def _map_of(frames: LabelledFrames, profile: Profile, pictures: PairedFrames) ->
         raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
 
 
+def check_classes(source: LabelledFrames, method: str) -> None:
+    """Check that all frames of a source have a contact class, and not all the same, as a method needs it.
+
+    Raises
+    ------
+    ValueError
+        If it is not so; the message names the method.
+    """
+    if not source.has_classes:
+        raise ValueError(
+            f"method {method} needs contact classes, and source {source.name} has frames without one: choose "
+            "another method, classes from force (--classes from-force 12), or a source whose frames all have a "
+            "class, as `gelgap generate` writes them on the paper's path"
+        )
+    if len(np.unique(source.contact_class)) < 2:
+        raise ValueError(
+            f"method {method} needs source frames of at least 2 contact classes, and the {len(source)} of "
+            f"{source.name} are of one: take more frames, or choose another method"
+        )
+
+
 def normalised_labels(frames: LabelledFrames) -> np.ndarray:
     """Return the labels (n, k) float32, min-max normalised with their ranges to [0, 1]."""
     low, high = frames.labels.low, frames.labels.high

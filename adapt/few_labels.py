@@ -16,7 +16,7 @@ from torch.nn import functional
 from gelgap.adapt.data import Draw, generator, has_other_aspect, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.inputs import FITTED, INPUTS
-from gelgap.adapt.methods.base import descend
+from gelgap.adapt.methods.base import TrainingDiverged
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
@@ -125,7 +125,11 @@ def fine_tune(
             with autocast(model.profile, model.device):
                 features = network.features(pictures.inputs(rows))
             loss = functional.mse_loss(network.regressor(features.float()), force[rows])
-            descend(optimizer, loss, "fine-tuning")
+            if not torch.isfinite(loss):
+                raise TrainingDiverged("fine-tuning: the loss is not finite; lower the learning rate")
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            optimizer.step()
     return replace(model, network=network)
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
+from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, check_classes, size_notes, split_for_training
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -285,7 +285,8 @@ class Group:
     def check(self, method: str) -> None:
         """Raise a ValueError unless both domains have what a method needs."""
         found = registry.find_method(method)
-        found.check_classes(method, self.frames.source_train)
+        if found.uses_classifier:
+            check_classes(self.frames.source_train, method)
         if found.uses_target_labels:
             labelled = labelled_frames(self.frames.target_train)
             if len(labelled) < 2:
