@@ -17,7 +17,7 @@ from gelgap.adapt.model import estimate_statistics
 from gelgap.adapt.network import Activations, ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.assets.settings import Settings
-from gelgap.domains import LabelledFrames
+from gelgap.data import LabelledFrames
 
 
 class FeatureCollapse(RuntimeError):
