@@ -16,13 +16,13 @@ from torch.nn import functional
 
 from gelgap.adapt.inputs import FEW_TO_FIT, FITTED, INPUTS, Found, InputMap, mapped, rest_markers
 from gelgap.adapt.profile import Profile
-from gelgap.domains import LabelledFrames, Labels, split_domains, with_labels
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.first_touch import STEP, TRAJECTORY, trajectory_of
-from gelgap.domains.frames.paired_frames import PairedFrames
-from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
-from gelgap.domains.frames.splits import DomainSplit
-from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.data import LabelledFrames, Labels, split_domains, with_labels
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.first_touch import STEP, TRAJECTORY, trajectory_of
+from gelgap.data.frames.paired_frames import PairedFrames
+from gelgap.data.frames.run_labels import force_classes, labelled_for_run, labels_of_run
+from gelgap.data.frames.splits import DomainSplit
+from gelgap.data.frames.stored import GeneratedDomain
 
 # Labels that turn with a picture, and those that no part of a picture shows.
 _TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")

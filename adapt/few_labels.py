@@ -24,10 +24,11 @@ from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.checksums import sha256
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import LabelledFrames, Labels, PressStream, join_domains, open_domain, with_labels
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.run_labels import within_range
-from gelgap.domains.inspection import log_notes
+from gelgap.data import LabelledFrames, Labels, join_domains, open_domain, with_labels
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.run_labels import within_range
+from gelgap.data.inspection import log_notes
+from gelgap.domains import PressStream
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""

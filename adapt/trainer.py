@@ -57,8 +57,8 @@ from gelgap.adapt.network import (
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import LabelledFrames, with_labels
-from gelgap.domains.frames.dataset import pictures_alone
+from gelgap.data import LabelledFrames, with_labels
+from gelgap.data.frames.dataset import pictures_alone
 
 LOG = logging.getLogger(__name__)
 MAX_SKIPPED_IN_A_ROW = 20

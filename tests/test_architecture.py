@@ -43,7 +43,7 @@ MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
 """Where a file may be as short as its command or method is."""
-READS_PICKLES = "domains/formats/published_sets.py"
+READS_PICKLES = "data/formats/published_sets.py"
 """Its Unpickler resolves no name to anything of NumPy or Python; `test_published_sets.py` tries hostile ones."""
 
 

@@ -9,7 +9,7 @@ from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.evaluation import BASELINES, CONSTANT, evaluate_baselines
 from gelgap.adapt.methods.base import MethodSettings, Step, loss_of
 from gelgap.adapt.methods.registry import make_method
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 
 def presses(name: str, depth: np.ndarray, tint=(1.0, 0.8, 0.6), seed: int = 0) -> ArrayFrames:

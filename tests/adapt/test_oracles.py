@@ -10,7 +10,8 @@ from gelgap.adapt.evaluation import (
     pose_oracle,
     worse_than_constant,
 )
-from gelgap.domains import ArrayFrames, make_recipes
+from gelgap.data import ArrayFrames
+from gelgap.domains import make_recipes
 from gelgap.domains.sweep import unseen_differences
 
 

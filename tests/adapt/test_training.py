@@ -30,7 +30,7 @@ from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
 from gelgap.adapt.trainer import adapt, batches_of, train_source, untrained
-from gelgap.domains import ArrayFrames, join_domains
+from gelgap.data import ArrayFrames, join_domains
 
 
 def altered(frames: ArrayFrames, **changes: np.ndarray) -> ArrayFrames:

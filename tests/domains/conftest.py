@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 from quick_solves import coarsen, shrink_libraries
 
-from gelgap.domains.domain import OptionalColumn
+from gelgap.data.formats.optional_columns import OptionalColumn
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.domains.frames.folders import open_domain
-from gelgap.domains.frames.splits import paired_contacts
+from gelgap.data.frames.folders import open_domain
+from gelgap.data.frames.splits import paired_contacts
 from gelgap.domains.generation.shard import trajectories
 from gelgap.domains.recipe import AcquisitionError, make_recipes
 from gelgap.sim import ContactPath

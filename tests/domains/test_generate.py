@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from gelgap.assets.locks import sole_use
-from gelgap.domains.formats.domain_folder import DomainFolder
-from gelgap.domains.frames.folders import open_domain
-from gelgap.domains.frames.splits import split_frames
+from gelgap.data.formats.domain_folder import DomainFolder
+from gelgap.data.frames.folders import open_domain
+from gelgap.data.frames.splits import split_frames
 from gelgap.domains.generation import cluster
 from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
 from gelgap.render import MembraneRenderer, Sensor
