@@ -266,7 +266,7 @@ class ForceModel:
 
 
 def _geometry(camera: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return what a camera's fields say of its geometry: all of it that a checkpoint keeps, or up to 0.3.0 part of it."""
+    """Return the geometry among a camera's fields: a checkpoint up to 0.3.0 has others, too."""
     return None if camera is None else {name: camera[name] for name in Pinhole.model_fields}
 
 

@@ -182,7 +182,7 @@ def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damag
 
 
 def write_overview(folder: Path | str, page: Path | str, gap: Mapping[str, Any] | None = None) -> Path:
-    """Write the page of one domain; with the gap from another, `base` by name and `rows` of (what, value), it has that too.
+    """Write the page of one domain; with the gap from another, `base` by name and `rows` of (what, value), that too.
 
     Raises
     ------

@@ -25,6 +25,7 @@ from gelgap.data.facts import DomainFacts
 from gelgap.data.formats.domain_folder import DomainName
 from gelgap.data.formats.optional_columns import OptionalColumn
 from gelgap.data.frames.labels import PAPER_FORCE_RANGE_N
+from gelgap.data.frames.stored import GeneratedDomain
 from gelgap.data.random_stream import random_stream
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
 from gelgap.render import Illumination, Markers, Sensor

@@ -59,18 +59,17 @@ TRACTION_SHAPE = (24, 32)
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the Parquet shards.
-
-    A label has a `value` for every frame, made from the contact alone; other columns have a `cell`, made by the
-    renderer, which is null in frames without a picture.
-    """
+    """A column of the Parquet shards; one that is no label is null in frames without a picture."""
 
     name: str
     type: pa.DataType
     unit: str
     meaning: str
-    value: Callable[[Contact], Any] | None = None
-    cell: Callable[[View], Any] | None = None
+
+    @property
+    def is_label(self) -> bool:
+        """Whether every frame has a value, made from the contact alone and not by the renderer."""
+        return self.type not in (PICTURE, POINTS, FORCES)
 
 
 def height_codes(height_mm: np.ndarray) -> np.ndarray:
@@ -147,9 +146,7 @@ _DIAGNOSTICS = (
 
 OPTIONAL: dict[OptionalColumn, tuple[Column, ...]] = {
     "height_map": (Column("height_map", PICTURE, "mm", HEIGHT_MAP_SCALE),),
-    "contact_mask": (
-        Column("contact_mask", PICTURE, "", "255 where the indenter touches"),
-    ),
+    "contact_mask": (Column("contact_mask", PICTURE, "", "255 where the indenter touches"),),
     "marker_rest_mm": (Column("marker_rest_mm", POINTS, "mm", _REST),),
     "marker_px": (Column("marker_px", POINTS, "px", _SEEN),),
     "diagnostics": _DIAGNOSTICS,

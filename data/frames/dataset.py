@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.assets.checksums import sha256
+from gelgap.assets.pinhole import Pinhole
 from gelgap.data.formats.pictures import encode_png, resized, without_markers
 from gelgap.data.frames.labels import (
     FORCE_COLUMNS,
@@ -20,7 +21,6 @@ from gelgap.data.frames.labels import (
     known_labels,
     usual_labels,
 )
-from gelgap.assets.pinhole import Pinhole
 
 if TYPE_CHECKING:
     from torch import device as Device

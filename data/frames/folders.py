@@ -15,6 +15,7 @@ import numpy as np
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.image_file import SUFFIXES, picture_files, visible_files
 from gelgap.assets.names import comma_list, stays_inside
+from gelgap.assets.pinhole import Pinhole
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.data.formats.domain_folder import MANIFEST
 from gelgap.data.frames.dataset import CONTACT_CLASSES, LabelledFrames
@@ -22,7 +23,6 @@ from gelgap.data.frames.joined import join_domains
 from gelgap.data.frames.labels import FORCE_COLUMNS, PAPER_RANGES, Labels, covering
 from gelgap.data.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.data.frames.tables import known_columns, plain_name
-from gelgap.assets.pinhole import Pinhole
 
 SENSOR_FILE = "sensor.toml"
 """Says of a folder of pictures how many mm a pixel shows."""

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.names import quoted
-from gelgap.data.random_stream import random_stream
 from gelgap.data.frames.dataset import LabelledFrames
+from gelgap.data.random_stream import random_stream
 
 WAYS = ("random", "point", "given")
 Shares = Sequence[float]
