@@ -1,4 +1,4 @@
-"""A camera's geometry: where its pinhole is, how much it sees, and how its lens bends; what pictures need to be read."""
+"""A camera's geometry: where its pinhole is, how much it sees, and how its lens bends."""
 
 from math import atan, degrees, hypot, radians, tan
 from typing import Annotated, Self

@@ -8,6 +8,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from gelgap.assets import list_presets
+from gelgap.assets.pinhole import Pinhole
 from gelgap.data import open_domain
 from gelgap.data.frames.marker_motion import MarkerTracker, ThinPlate
 from gelgap.render import Camera, Illumination, MembraneRenderer, Sensor, marker_rest_mm
@@ -99,7 +100,7 @@ def test_a_folder_of_pictures_says_how_many_mm_a_pixel_shows(tmp_path: Path):
     assert folder.cameras[0].footprint_mm((64, 48))[0] == pytest.approx(16)
     assert not folder.notes
     (tmp_path / "sensor.toml").write_text("[camera]\nhorizontal_field_of_view_deg = 30.0\n")
-    assert open_domain(tmp_path).take(np.array([1])).cameras[0] == Camera(horizontal_field_of_view_deg=30.0)
+    assert open_domain(tmp_path).take(np.array([1])).cameras[0] == Pinhole(horizontal_field_of_view_deg=30.0)
     (tmp_path / "sensor.toml").write_text("mm_per_px = true\n")
     with pytest.raises(ValueError, match=r"sensor.toml: mm_per_px = True: must be a number above 0"):
         open_domain(tmp_path).cameras  # noqa: B018
