@@ -366,6 +366,8 @@ def network_inputs(
     each has its own, by all of its pictures: 0.040 N for 0.051 N in eight lights. Without `markers` they are inpainted.
     """
     shown, windows = INPUTS[profile.input], None
+    if profile.levelling:
+        frames = frames.levelled
     if profile.sequence_length > 1:
         windows = torch.from_numpy(windows_of(frames, profile.sequence_length)).to(device)
     if shown.find is not None:

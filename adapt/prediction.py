@@ -13,6 +13,7 @@ from gelgap.data import Labels
 from gelgap.data.formats.domain_folder import MANIFEST
 from gelgap.data.formats.pictures import mismatch
 from gelgap.data.frames.first_touch import change_of, dent_pixels
+from gelgap.data.frames.levelling import levelled
 
 NamedPicture = tuple[str, np.ndarray]
 # Of a range: the network's sigmoid comes no closer to a bound, however far beyond it the truth is.
@@ -53,7 +54,8 @@ def predict_each(
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         if INPUTS[model.profile.input].from_touch:
-            change = change_of(picture, reference, model.profile.image_size_px)
+            own = levelled(picture[None], reference)[0] if model.profile.levelling else picture
+            change = change_of(own, reference, model.profile.image_size_px)
             touches.append((touches[-1] or [picture]) if len(dent_pixels(change)) else [])
         labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
         notes = [range_note(model.labels, predicted, model.correction), mismatch(picture, reference)]

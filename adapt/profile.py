@@ -40,6 +40,8 @@ class Profile(PresetSettings):
     input: str = Field(default="pictures", json_schema_extra={"enum": list(INPUTS)})
     """what the network is shown of them: pictures (as paired), standardised, calibrated, grey, markers, touch or
     pretrained"""
+    levelling: bool = Field(default=False, exclude_if=lambda value: not value)
+    """whether each picture's channels are brought to its reference's light, by what the contact leaves unchanged"""
     marker_span_mm: tuple[Span, Span] = Field(
         default=(12.0, 9.0), exclude_if=lambda value: value == (12.0, 9.0)
     )

@@ -21,6 +21,7 @@ from gelgap.data.frames.labels import (
     known_labels,
     usual_labels,
 )
+from gelgap.data.frames.levelling import levelled
 
 if TYPE_CHECKING:
     from torch import device as Device
@@ -250,6 +251,11 @@ class LabelledFrames(ABC):
                 f"allowed 0…{self.n_classes - 1} (−1: unknown)"
             )
 
+    @cached_property
+    def levelled(self) -> "LabelledFrames":
+        """The same frames, each picture in the light of its reference (`gelgap.data.frames.levelling`)."""
+        return LevelledFrames(self)
+
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height of the pictures as stored."""
@@ -429,6 +435,32 @@ class DerivedFrames(LabelledFrames):
             return self.whole.load(size_px, markers)
         if (size_px, markers) not in self._loaded:
             self._loaded[size_px, markers] = self.whole.load(size_px, markers)[self._indices]
+        return self._loaded[size_px, markers]
+
+
+class LevelledFrames(DerivedFrames):
+    """Frames whose pictures are brought to the light of their references."""
+
+    def __init__(self, whole: LabelledFrames):
+        super().__init__(whole, whole.columns, b"levelled")
+        self.owners = [own.levelled for own in whole.owners]
+
+    @property
+    def levelled(self) -> LabelledFrames:
+        return self
+
+    def picture(self, index: int) -> np.ndarray:
+        reference = self.references_at()[self.reference_id[index]]
+        return levelled(super().picture(index)[None], reference)[0]
+
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        if (size_px, markers) not in self._loaded:
+            pictures, references = super().load(size_px, markers), self.references_at(size_px, markers)
+            shown = np.empty_like(pictures)
+            for number, reference in enumerate(references):
+                rows = self.reference_id == number
+                shown[rows] = levelled(pictures[rows], reference)
+            self._loaded[size_px, markers] = shown
         return self._loaded[size_px, markers]
 
 
