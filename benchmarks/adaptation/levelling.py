@@ -84,7 +84,8 @@ def measured(source: Path, target: Path, shown: str, levelling: bool, epochs: in
         changes["shift_px"] = 0
         changes["marker_hiding"] = 0.0
     profile = Profile.preset("board").replace(**changes)
-    frames = split_for_training(open_domain(source), open_domain(target), profile, seed=0)
+    # A touch joins the trajectories of its point after the split.
+    frames = split_for_training(open_domain(source), open_domain(target), profile.replace(input="pictures"), seed=0)
     if INPUTS[shown].from_touch:
         touches = (
             open_domain(at.parent.with_name(f"{at.parent.name}-touches") / at.name) for at in (source, target)
