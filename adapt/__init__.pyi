@@ -7,6 +7,7 @@ from .few_labels import finetune as finetune
 from .few_labels import pretrain as pretrain
 from .material import fit_modulus_ratio as fit_modulus_ratio
 from .material import with_modulus_ratio as with_modulus_ratio
+from .methods.base import Activations as Activations
 from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method
@@ -17,7 +18,6 @@ from .methods.registry import method_names as method_names
 from .methods.registry import register as register
 from .model import ForceModel as ForceModel
 from .model import with_statistics_of as with_statistics_of
-from .network import Activations as Activations
 from .onnx_file import export_onnx as export_onnx
 from .own_code import use_backbone as use_backbone
 from .prediction import camera_pictures as camera_pictures

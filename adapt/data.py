@@ -16,13 +16,13 @@ from torch.nn import functional
 
 from gelgap.adapt.inputs import FEW_TO_FIT, FITTED, INPUTS, Found, InputMap, mapped, rest_markers
 from gelgap.adapt.profile import Profile
-from gelgap.domains import LabelledFrames, Labels, split_domains, with_labels
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.first_touch import STEP, TRAJECTORY, trajectory_of
-from gelgap.domains.frames.paired_frames import PairedFrames
-from gelgap.domains.frames.run_labels import force_classes, labelled_for_run, labels_of_run
-from gelgap.domains.frames.splits import DomainSplit
-from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.data import LabelledFrames, Labels, split_domains, with_labels
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.first_touch import STEP, TRAJECTORY, trajectory_of
+from gelgap.data.frames.paired_frames import PairedFrames
+from gelgap.data.frames.run_labels import force_classes, labelled_for_run, labels_of_run
+from gelgap.data.frames.splits import DomainSplit
+from gelgap.data.frames.stored import GeneratedDomain
 
 # Labels that turn with a picture, and those that no part of a picture shows.
 _TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
@@ -389,6 +389,27 @@ def _map_of(frames: LabelledFrames, profile: Profile, pictures: PairedFrames) ->
         return INPUTS[profile.input].fit(pictures)
     except ValueError as error:
         raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
+
+
+def check_classes(source: LabelledFrames, method: str) -> None:
+    """Check that all frames of a source have a contact class, and not all the same, as a method needs it.
+
+    Raises
+    ------
+    ValueError
+        If it is not so; the message names the method.
+    """
+    if not source.has_classes:
+        raise ValueError(
+            f"method {method} needs contact classes, and source {source.name} has frames without one: choose "
+            "another method, classes from force (--classes from-force 12), or a source whose frames all have a "
+            "class, as `gelgap generate` writes them on the paper's path"
+        )
+    if len(np.unique(source.contact_class)) < 2:
+        raise ValueError(
+            f"method {method} needs source frames of at least 2 contact classes, and the {len(source)} of "
+            f"{source.name} are of one: take more frames, or choose another method"
+        )
 
 
 def normalised_labels(frames: LabelledFrames) -> np.ndarray:

@@ -21,10 +21,10 @@ from pydantic import BeforeValidator
 from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
-from gelgap.domains import LabelledFrames, paired_contacts, with_labels
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES
-from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.data import LabelledFrames, paired_contacts, with_labels
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES
+from gelgap.data.frames.stored import GeneratedDomain
 
 CONSTANT, QUADRATIC, RIDGE = "constant mean", "quadratic in mean difference", "ridge on area and depth"
 BASELINES = (CONSTANT, QUADRATIC, RIDGE)
@@ -229,7 +229,7 @@ class Presses:
         return cls(
             frames=frames,
             command_mm=np.stack([frames.columns[name] for name in names], axis=1),
-            mount_n_per_mm=domain.recipe.elastomer.mount_stiffness_n_per_mm,
+            mount_n_per_mm=domain.facts.mount_stiffness_n_per_mm,
         )
 
     @property

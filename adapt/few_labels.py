@@ -16,7 +16,7 @@ from torch.nn import functional
 from gelgap.adapt.data import Draw, generator, has_other_aspect, network_inputs, normalised_labels
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.inputs import FITTED, INPUTS
-from gelgap.adapt.methods.base import descend
+from gelgap.adapt.methods.base import TrainingDiverged
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
@@ -24,10 +24,11 @@ from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.checksums import sha256
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import LabelledFrames, Labels, PressStream, join_domains, open_domain, with_labels
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.run_labels import within_range
-from gelgap.domains.inspection import log_notes
+from gelgap.data import LabelledFrames, Labels, join_domains, open_domain, with_labels
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.run_labels import within_range
+from gelgap.data.inspection import log_notes
+from gelgap.domains import PressStream
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""
@@ -125,7 +126,11 @@ def fine_tune(
             with autocast(model.profile, model.device):
                 features = network.features(pictures.inputs(rows))
             loss = functional.mse_loss(network.regressor(features.float()), force[rows])
-            descend(optimizer, loss, "fine-tuning")
+            if not torch.isfinite(loss):
+                raise TrainingDiverged("fine-tuning: the loss is not finite; lower the learning rate")
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            optimizer.step()
     return replace(model, network=network)
 
 

@@ -18,9 +18,9 @@ from pydantic import FiniteFloat
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from gelgap.domains import LabelledFrames
-    from gelgap.domains.frames.marker_motion import MarkerTracker, ThinPlate
-    from gelgap.domains.frames.paired_frames import PairedFrames
+    from gelgap.data import LabelledFrames
+    from gelgap.data.frames.marker_motion import MarkerTracker, ThinPlate
+    from gelgap.data.frames.paired_frames import PairedFrames
 
 LOG = logging.getLogger(__name__)
 _BATCH = 256
@@ -134,7 +134,7 @@ def displacement_fields(
     """Return how far the membrane has moved along x and y, (n, h, w, 2) in mm, float16: to 0.2 µm of 0.5 mm.
 
     Markers are found and matched in the stored pictures and interpolated on a grid of the gel, which is the same for
-    every sensor, whatever its pattern, camera and light (`gelgap.domains.frames.marker_motion`).
+    every sensor, whatever its pattern, camera and light (`gelgap.data.frames.marker_motion`).
 
     Raises what `rest_markers` does, and a ValueError if most pictures show other markers.
     """
@@ -179,7 +179,7 @@ def rest_markers(
 
 def dents(frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[float, float]) -> np.ndarray:
     """Return dents and their edges around the place of first touch, (n, h, w, 2) float16 (`dents_from_touch`)."""
-    from gelgap.domains.frames.first_touch import dents_from_touch
+    from gelgap.data.frames.first_touch import dents_from_touch
 
     return dents_from_touch(frames, size_px)
 
@@ -193,7 +193,7 @@ def _rest(
     span_mm: tuple[float, float],
 ) -> "tuple[MarkerTracker, ThinPlate]":
     """Return what is made once for a reference, also where pictures come one by one."""
-    from gelgap.domains.frames.marker_motion import MarkerTracker, ThinPlate
+    from gelgap.data.frames.marker_motion import MarkerTracker, ThinPlate
 
     tracker = MarkerTracker(np.frombuffer(reference, np.uint8).reshape(shape), camera)
     return tracker, ThinPlate(tracker.rest_mm, size_px, span_mm)

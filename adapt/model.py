@@ -24,10 +24,10 @@ from gelgap.adapt.network import (
 from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
-from gelgap.domains import ArrayFrames, LabelledFrames, Labels
-from gelgap.domains.frames.dataset import Camera
-from gelgap.domains.frames.first_touch import STEP, TRAJECTORY
-from gelgap.domains.frames.labels import FORCE_COLUMNS
+from gelgap.assets.pinhole import Pinhole
+from gelgap.data import ArrayFrames, LabelledFrames, Labels
+from gelgap.data.frames.first_touch import STEP, TRAJECTORY
+from gelgap.data.frames.labels import FORCE_COLUMNS
 
 _FORMAT = 2
 _INFERENCE_BATCH = 256
@@ -73,7 +73,7 @@ class ForceModel:
     history: tuple[dict[str, Any], ...] = field(default=())
     input_map: InputMap | None = None
     correction: AffineCorrection | None = None
-    camera: Camera | None = None
+    camera: Pinhole | None = None
 
     @property
     def device(self) -> torch.device:
@@ -194,7 +194,7 @@ class ForceModel:
             "history": list(self.history),
             "input_map": TypeAdapter(InputMap | None).dump_python(self.input_map, mode="json"),
             "correction": TypeAdapter(AffineCorrection | None).dump_python(self.correction, mode="json"),
-            "camera": TypeAdapter(Camera | None).dump_python(self.camera, mode="json"),
+            "camera": None if self.camera is None else _geometry(self.camera.model_dump(mode="json")),
         }
         save_checkpoint(content, Path(path))
 
@@ -261,8 +261,13 @@ class ForceModel:
             history=tuple(content["history"]),
             input_map=shown,
             correction=correction,
-            camera=TypeAdapter(Camera | None).validate_python(content.get("camera")),
+            camera=TypeAdapter(Pinhole | None).validate_python(_geometry(content.get("camera"))),
         )
+
+
+def _geometry(camera: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the geometry among a camera's fields: a checkpoint up to 0.3.0 has others, too."""
+    return None if camera is None else {name: camera[name] for name in Pinhole.model_fields}
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...], profile: Profile) -> None:

@@ -10,7 +10,6 @@ import io
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,23 +24,6 @@ from gelgap.assets.whole_file import write_whole
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
 _ZIP = b"PK\x03\x04"
-
-
-@dataclass(frozen=True)
-class Activations:
-    """The network's output for a batch of B frames of one domain, and their known labels.
-
-    inputs (B, channels, h, w) before a method perturbed them; features (B, D) after the bottleneck's ReLU, prediction
-    (B, k) in [0, 1], logits (B, C) where the method uses the classifier; force (B, k) in [0, 1] and contact_class (B,)
-    only where labels may be used. k is 3, the axes of the force, unless a run has other labels; these take their place.
-    """
-
-    features: Tensor
-    prediction: Tensor
-    logits: Tensor | None = None
-    force: Tensor | None = None
-    contact_class: Tensor | None = None
-    inputs: Tensor | None = None
 
 
 class ForceNetwork(nn.Module):

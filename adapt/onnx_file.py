@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import ForceModel
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains.frames.paired_frames import PairedFrames
+from gelgap.data.frames.paired_frames import PairedFrames
 
 _NEEDED = ("onnx", "onnxruntime")
 # Of a label's range. A network whose course depends on the picture itself is not what was traced.

@@ -9,10 +9,10 @@ import numpy as np
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.assets.image_file import SUFFIXES, picture_files, read_image, visible_files
-from gelgap.domains import Labels
-from gelgap.domains.formats.domain_folder import MANIFEST
-from gelgap.domains.formats.pictures import mismatch
-from gelgap.domains.frames.first_touch import change_of, dent_pixels
+from gelgap.data import Labels
+from gelgap.data.formats.domain_folder import MANIFEST
+from gelgap.data.formats.pictures import mismatch
+from gelgap.data.frames.first_touch import change_of, dent_pixels
 
 NamedPicture = tuple[str, np.ndarray]
 # Of a range: the network's sigmoid comes no closer to a bound, however far beyond it the truth is.

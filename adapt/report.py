@@ -12,7 +12,7 @@ from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.run_record import Run, load_predictions, load_runs
 from gelgap.adapt.selection import Candidate, alarm, scores, select
-from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES
+from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

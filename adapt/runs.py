@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
+from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, check_classes, size_notes, split_for_training
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -34,12 +34,12 @@ from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import LabelledFrames, open_domain
-from gelgap.domains.frames.dataset import labelled_frames
-from gelgap.domains.frames.folders import open_domains
-from gelgap.domains.frames.stored import GeneratedDomain
-from gelgap.domains.inspection import log_notes
-from gelgap.domains.sweep import unseen_differences
+from gelgap.data import LabelledFrames, open_domain
+from gelgap.data.facts import unseen_differences
+from gelgap.data.frames.dataset import labelled_frames
+from gelgap.data.frames.folders import open_domains
+from gelgap.data.frames.stored import GeneratedDomain
+from gelgap.data.inspection import log_notes
 
 LOG = logging.getLogger(__name__)
 _RESUME = "resume.pt"
@@ -75,7 +75,7 @@ def adapt_folders(
     Parameters
     ----------
     source, target
-        Domains that are open, or folders that `gelgap.domains.open_domain` reads; several source folders are trained on
+        Domains that are open, or folders that `gelgap.data.open_domain` reads; several source folders are trained on
         together, several targets are adapted to one by one.
     methods
         Their names, or `module:Class` or `file.py:Class` of your own.
@@ -168,7 +168,7 @@ def _with_oracles(group: "Group", source: LabelledFrames, target: LabelledFrames
     """Return the group with what its generated domains tell: their oracles, and what no picture shows."""
     unseen: tuple[str, ...] = ()
     if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
-        unseen = tuple(unseen_differences(source.recipe, target.recipe))
+        unseen = tuple(unseen_differences(source.name, source.facts, target.name, target.facts))
     return replace(group, oracles=oracles_on(source, target, group.frames.target_test), unseen=unseen)
 
 
@@ -285,7 +285,8 @@ class Group:
     def check(self, method: str) -> None:
         """Raise a ValueError unless both domains have what a method needs."""
         found = registry.find_method(method)
-        found.check_classes(method, self.frames.source_train)
+        if found.uses_classifier:
+            check_classes(self.frames.source_train, method)
         if found.uses_target_labels:
             labelled = labelled_frames(self.frames.target_train)
             if len(labelled) < 2:

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +23,30 @@ from gelgap.adapt.data import (
     Batch,
     Draw,
     TrainingDomain,
+    check_classes,
     epoch_order,
     generator,
     hidden_batches,
     mix_colours,
     network_inputs,
+    normalised_labels,
     shift_pictures,
     steps_per_epoch,
     turn_dents,
 )
 from gelgap.adapt.inputs import INPUTS
-from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged, loss_of
+from gelgap.adapt.methods.base import (
+    Activations,
+    Adaptation,
+    FeatureCollapse,
+    Method,
+    Step,
+    TrainingDiverged,
+    loss_of,
+)
 from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start
 from gelgap.adapt.network import (
-    Activations,
     ForceNetwork,
     autocast,
     load_checkpoint,
@@ -47,8 +57,8 @@ from gelgap.adapt.network import (
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
 from gelgap.assets.progress import Progress, silent
-from gelgap.domains import LabelledFrames, with_labels
-from gelgap.domains.frames.dataset import pictures_alone
+from gelgap.data import LabelledFrames, with_labels
+from gelgap.data.frames.dataset import pictures_alone
 
 LOG = logging.getLogger(__name__)
 MAX_SKIPPED_IN_A_ROW = 20
@@ -176,7 +186,8 @@ def adapt(
     if chosen.uses_target_labels:
         target = with_labels(target, model.labels)
         target.check_labels()
-    chosen.check_classes(method, source)
+    if chosen.uses_classifier:
+        check_classes(source, method)
     adapted = replace(
         model,
         network=copy.deepcopy(model.network),
@@ -204,11 +215,23 @@ def adapt(
                 progress=progress,
             )
         else:
-            shown = target if chosen.uses_target_labels else pictures_alone(target)
             torch.manual_seed(seed)
-            chosen.adapt(Adaptation(adapted.network, profile, seed, source, shown))
+            chosen.adapt(_adaptation(adapted, source, target))
     adapted.network.eval()
     return replace(adapted, history=(*model.history, *map(asdict, records)))
+
+
+def _adaptation(model: ForceModel, source: LabelledFrames, target: LabelledFrames) -> Adaptation:
+    """Return what a method without a loss adapts a model with: of the target its pictures alone."""
+    target, profile = pictures_alone(target), model.profile
+    return Adaptation(
+        model.network,
+        model.seed,
+        source_pictures=partial(network_inputs, source, profile, model.device),
+        target_pictures=partial(network_inputs, target, profile, model.device),
+        source_labels=normalised_labels(source),
+        estimate_target_statistics=partial(estimate_statistics, model.network, target, profile, model.seed),
+    )
 
 
 @dataclass(frozen=True)
@@ -283,7 +306,8 @@ def train(
     epochs, rate = profile.source_epochs, profile.source_learning_rate
     if method is not None:
         epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
-        final_weight = method.settings.final_weight(profile)
+        weight_set = method.settings.transfer_weight
+        final_weight = profile.transfer_weight if weight_set is None else weight_set
         target = TrainingDomain(target_frames, profile, network.device, labelled=method.uses_target_labels)
         method.to(network.device)
     source = TrainingDomain(source_frames, profile, network.device, labelled=True)

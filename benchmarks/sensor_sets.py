@@ -15,10 +15,10 @@ import pandas as pd
 
 from gelgap.assets.image_file import read_image
 from gelgap.benchmarks.common import show, write_json
-from gelgap.domains.calibration_presses import PressSet, lit_from_dents, sphere_profiles, taxim_presses
+from gelgap.calibrate.calibrator import calibrate_light
+from gelgap.calibrate.membranes import PressSet, lit_from_dents, sphere_profiles, taxim_presses
+from gelgap.calibrate.pictures import PressPicture, read_presses
 from gelgap.render import Camera, Markers, Sensor
-from gelgap.render.calibration.calibrator import calibrate_light
-from gelgap.render.calibration.pictures import PressPicture, read_presses
 
 MODELS = {
     "the reference, unchanged": "unchanged",

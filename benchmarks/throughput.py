@@ -14,15 +14,9 @@ import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import processor_s, show, write_json
-from gelgap.domains import (
-    DomainRecipe,
-    LabelledFrames,
-    generate_recipes,
-    make_recipes,
-    open_domain,
-    preset_recipes,
-)
-from gelgap.domains.formats.domain_folder import DomainFolder
+from gelgap.data import LabelledFrames, open_domain
+from gelgap.data.formats.domain_folder import DomainFolder
+from gelgap.domains import DomainRecipe, generate_recipes, make_recipes, preset_recipes
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.sim import ContactPath
 

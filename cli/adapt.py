@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from gelgap import adapt, domains
+from gelgap import adapt, data
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
@@ -42,7 +42,7 @@ def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
         except ValueError:
             raise ValueError(f"{quoted(text)} must be a label and its two bounds, as fz_n=-30:0") from None
         named.append((name, (low, high)))
-    labels = domains.Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
+    labels = data.Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
     return dict(zip(labels.names, labels.ranges, strict=True))
 
 

@@ -29,7 +29,7 @@ class Cache(opt.Command):
     def run(self, started: float) -> None:
         """List or clear the cache."""
         from gelgap.assets.locks import cache_folder
-        from gelgap.domains.frames.stored import clear_picture_cache
+        from gelgap.data.frames.stored import clear_picture_cache
         from gelgap.render.light.spectra import clear_led_cache
         from gelgap.sim.solution import cache_entries, cached_files, clear_cache
 

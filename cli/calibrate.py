@@ -18,9 +18,9 @@ from gelgap.cli import options as opt
 if TYPE_CHECKING:
     import numpy as np
 
-    from gelgap.domains.press_prediction import PredictedPress
-    from gelgap.render.calibration.calibrator import LightCalibration
-    from gelgap.render.calibration.pictures import PressPicture
+    from gelgap.calibrate.calibrator import LightCalibration
+    from gelgap.calibrate.pictures import PressPicture
+    from gelgap.calibrate.prediction import PredictedPress
 
 LOG = logging.getLogger(__name__)
 HELD_OUT = {
@@ -99,9 +99,9 @@ class Calibrate(opt.Command):
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
-        from gelgap.domains.calibration_presses import lit_from_dents, sphere_profiles
-        from gelgap.render.calibration.calibrator import calibrate_light, save_calibration
-        from gelgap.render.calibration.pictures import check_presses
+        from gelgap.calibrate.calibrator import calibrate_light, save_calibration
+        from gelgap.calibrate.membranes import lit_from_dents, sphere_profiles
+        from gelgap.calibrate.pictures import check_presses
 
         if self.predict:
             self._predict()
@@ -131,7 +131,7 @@ class Calibrate(opt.Command):
         write_comparisons(held_out_pairs(fit, presses), folder, "held-out")
 
     def _predict(self) -> None:
-        from gelgap.domains.press_prediction import predict_presses
+        from gelgap.calibrate.prediction import predict_presses
 
         if self.sensor is None:
             raise ValueError("--predict needs --sensor, the fit")
@@ -152,7 +152,7 @@ class Calibrate(opt.Command):
         )
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":
-        from gelgap.domains.calibration_presses import NAMES, PACK, taxim_presses
+        from gelgap.calibrate.membranes import NAMES, PACK, taxim_presses
 
         if str(self.presses) in NAMES or (self.presses / PACK).is_file():
             if self.reference:
@@ -172,7 +172,7 @@ class Calibrate(opt.Command):
     def _marked(self) -> Path:
         """Return the list of the presses that are found in a folder."""
         from gelgap.assets.image_file import SHEET
-        from gelgap.domains.press_folder import mark_presses
+        from gelgap.calibrate.press_folder import mark_presses
 
         if self.ball_mm is None or self.mm_per_px is None:
             raise ValueError(
@@ -190,7 +190,7 @@ class Calibrate(opt.Command):
 
     def _listed(self, path: Path) -> "tuple[render.Sensor, np.ndarray, tuple[PressPicture, ...]]":
         from gelgap.assets.image_file import read_image
-        from gelgap.render.calibration.pictures import read_press_list
+        from gelgap.calibrate.pictures import read_press_list
 
         listed = read_press_list(path)
         reference = self.reference or (path.parent / listed.reference if listed.reference else None)
@@ -298,7 +298,7 @@ def prediction_lines(presses: "Sequence[PredictedPress]") -> list[str]:
 
 def warnings_of(fit: "LightCalibration") -> list[str]:
     """Return what to think of before such a fit is used."""
-    from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
+    from gelgap.calibrate.calibrator import DOUBTFUL_RMS
 
     warnings = []
     if fit.rms_code_values > DOUBTFUL_RMS:
@@ -329,7 +329,7 @@ def held_out_pairs(
     fit: "LightCalibration", presses: "Sequence[PressPicture]"
 ) -> "list[tuple[np.ndarray, np.ndarray]]":
     """Return each held-out press's picture, and what was predicted of it."""
-    from gelgap.render.calibration.pictures import press_names
+    from gelgap.calibrate.pictures import press_names
 
     pictures = {name: press.picture for name, press in zip(press_names(presses), presses, strict=True)}
     return [(pictures[press.name], press.picture) for press in fit.held_out]
@@ -341,7 +341,7 @@ def write_comparisons(
     """Write a picture of each press: real, predicted, and 128 plus four times the difference; or predicted alone."""
     import numpy as np
 
-    from gelgap.domains.formats.pictures import encode_png
+    from gelgap.data.formats.pictures import encode_png
     from gelgap.render.imaging import difference_picture
 
     for number, (real, predicted) in enumerate(pairs, start=1):

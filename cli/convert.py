@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gelgap import domains
+from gelgap import data
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.domains.formats.convert import ConvertedClip
+    from gelgap.data.formats.convert import ConvertedClip
 
 LEAST_LIKELY = 0.75
 """Of pictures and forces: 0.85 to 0.99 in 18 clips of a real sensor, 0.3 to 0.6 in a light that changes."""
@@ -48,12 +48,12 @@ class Convert(opt.Command):
 
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
-        from gelgap.domains.formats.published_sets import LAYOUTS
+        from gelgap.data.formats.published_sets import LAYOUTS
 
         if self.lag is not None and self.layout == "ball-presses":
             raise ValueError(f"--lag {self.lag}: pictures of ball-presses have marks, no times; leave it out")
         layout = LAYOUTS.get(self.layout, self.layout)
-        clips = domains.convert(self.folder, layout, self.out, self.every, self.lag)
+        clips = data.convert(self.folder, layout, self.out, self.every, self.lag)
         print(_table(clips))
         for domain in dict.fromkeys(clip.domain for clip in clips):
             print(f"wrote {self.out / domain}")

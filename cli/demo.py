@@ -36,7 +36,9 @@ class Demo(opt.Command):
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write both pages and print the outcome; finished parts are kept."""
         from gelgap.adapt.report import axis_table, error_table
-        from gelgap.domains.inspection import write_overview
+        from gelgap.data import open_domain
+        from gelgap.data.inspection import write_overview
+        from gelgap.domains.gap import gap_rows
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
         data, runs_dir = self.out / "data", self.out / "runs"
@@ -57,7 +59,9 @@ class Demo(opt.Command):
 
         print("3/3  writing the report")
         page = adapt.write_report(runs_dir, self.out)
-        pictures = write_overview(data / TARGET, self.out / f"{TARGET}.html", other=data / SOURCE)
+        rows = gap_rows(open_domain(data / TARGET), open_domain(data / SOURCE))
+        gap = {"base": SOURCE, "rows": rows}
+        pictures = write_overview(data / TARGET, self.out / f"{TARGET}.html", gap)
         error_table(runs).show()
         axis_table(runs).show()
         print(f"{headline(runs)}\n\n{time.perf_counter() - started:.0f} s in all: {page}, {pictures}")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gelgap import domains
+from gelgap import data
 from gelgap.cli import options as opt
 
 
@@ -35,7 +35,7 @@ class Export(opt.Command):
 
     def run(self, started: float) -> None:
         """Export, and name what was written."""
-        written = domains.export(
+        written = data.export(
             self.folder, self.format_name, self.out, split_by=self.split_by, license=self.license
         )
         for path in written:

@@ -12,7 +12,8 @@ from gelgap.assets.names import closest_name
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
 from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
-from gelgap.domains.domain import Domain, OptionalColumn
+from gelgap.data.formats.optional_columns import OptionalColumn
+from gelgap.domains.domain import Domain
 
 if TYPE_CHECKING:
     from gelgap.domains.sweep import Variant
@@ -22,7 +23,7 @@ DATA_SETS = list_presets("datasets")
 
 def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
-    from gelgap.domains.frames.labels import PAPER_RANGES
+    from gelgap.data.frames.labels import PAPER_RANGES
 
     given, papers = label_ranges(texts), PAPER_RANGES
     if others := sorted(given.keys() - papers.keys()):

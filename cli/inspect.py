@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from gelgap import domains
+from gelgap import data
 from gelgap.cli import options as opt
 
 
@@ -30,25 +30,29 @@ class Inspect(opt.Command):
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        from gelgap.domains.frames.folders import domain_folders
-        from gelgap.domains.inspection import gap_rows, inspect_domain, write_overview
+        from gelgap.data.frames.folders import domain_folders
+        from gelgap.data.inspection import inspect_domain, write_overview
 
         folders = domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
-        base = domains.open_domain(self.gap_to) if self.gap_to is not None else None
+        base = data.open_domain(self.gap_to) if self.gap_to is not None else None
+        gap: dict[str, Any] | None = None
         intact = _verified(folders) if self.verify else ""
         for folder in folders:
             print(inspect_domain(folder))
             if base is not None:
+                from gelgap.domains.gap import gap_rows
+
+                gap = {"base": base.name, "rows": gap_rows(data.open_domain(folder), base)}
                 print(f"  gap from {self.gap_to}:")
-                for what, value in gap_rows(domains.open_domain(folder), base):
+                for what, value in gap["rows"]:
                     print(f"    {what}: {value}")
         if intact:
             print(intact)
         if self.html is not None:
-            print(f"wrote {write_overview(folders[0], self.html, self.gap_to)}")
+            print(f"wrote {write_overview(folders[0], self.html, gap)}")
 
 
 def _verified(folders: tuple[Path, ...]) -> str:
@@ -56,10 +60,10 @@ def _verified(folders: tuple[Path, ...]) -> str:
 
     What gelgap generated it makes again, real data it cannot.
     """
-    from gelgap.domains.formats.domain_folder import MANIFEST
+    from gelgap.data.formats.domain_folder import MANIFEST
 
     generated = all((folder / MANIFEST).exists() for folder in folders)
-    damages = [(folder.name, damage) for folder in folders for damage in domains.verify_domain(folder)]
+    damages = [(folder.name, damage) for folder in folders for damage in data.verify_domain(folder)]
     if not damages:
         return "every file is what its manifest says" if generated else "every picture and force is readable"
     advice = (

@@ -66,7 +66,7 @@ def _text(rows: list[dict[str, object]], header: bool = True) -> str:
     """Return rows with symbols and units above them; rows that are printed one by one stand below each other."""
     import pandas as pd
 
-    from gelgap.domains.frames.labels import QUANTITIES
+    from gelgap.data.frames.labels import QUANTITIES
 
     units = {name: str(quantity) for name, quantity in QUANTITIES.items()}
     table = pd.DataFrame(rows).rename(columns=units)

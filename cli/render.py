@@ -82,8 +82,8 @@ class Render(opt.Command):
     def _write_height_map(self, height_mm: "np.ndarray") -> None:
         import numpy as np
 
-        from gelgap.domains.formats.pictures import encode_png
-        from gelgap.domains.formats.shards import HEIGHT_MAP_SCALE, height_codes
+        from gelgap.data.formats.pictures import encode_png
+        from gelgap.data.formats.shards import HEIGHT_MAP_SCALE, height_codes
 
         if self.height_map.suffix.lower() == ".npy":
             with whole_file(self.height_map) as temporary, temporary.open("wb") as file:

@@ -1,34 +1,12 @@
-"""What a domain is: an elastomer under an illumination, with or without markers, named as in the paper.
+"""What a domain is: an elastomer under an illumination, with or without markers, named as in the paper."""
 
-Random numbers are keyed by the domain and by what they are for.
-"""
-
-import hashlib
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Literal
 
 from gelgap.assets import list_presets
 from gelgap.assets.names import closest_name, quoted
 
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
 OWN_LIGHT = "own"
-OptionalColumn = Literal[
-    "height_map",
-    "contact_mask",
-    "marker_rest_mm",
-    "marker_px",
-    "diagnostics",
-    "indenter",
-    "torque",
-    "traction",
-    "turn",
-]
-"""What a domain may hold beyond its labels and pictures."""
-Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 
 @dataclass(frozen=True)
@@ -72,16 +50,3 @@ def known_domains() -> tuple[Domain, ...]:
     """Return every domain that the presets can make."""
     lights = (*list_presets("illuminations"), OWN_LIGHT)
     return tuple(Domain(*parts) for parts in product(list_presets("elastomers"), lights, (True, False)))
-
-
-def random_stream(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> "Generator":
-    """Return the random numbers of one domain, frame and purpose, whoever draws them and whenever."""
-    from numpy.random import SeedSequence, default_rng
-
-    return default_rng(SeedSequence([seed, word(domain), word(purpose), frame]))
-
-
-@lru_cache(maxsize=64)
-def word(text: str) -> int:
-    """Return the number that stands for a text among the seeds of random numbers."""
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.domains.formats.pictures import resized
+from gelgap.data.formats.pictures import resized
 from gelgap.domains.generation.plan import Contacts
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, PositiveFloat
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.domains.domain import word
+from gelgap.data.random_stream import word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, Sphere

@@ -18,12 +18,18 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, Ty
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import comma_list, stays_inside
+from gelgap.assets.pinhole import Pinhole
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.domains.domain import OWN_LIGHT, Domain, OptionalColumn, known_domains, random_stream
-from gelgap.domains.formats.domain_folder import DomainName
-from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
-from gelgap.render import Illumination, Sensor
+from gelgap.data.facts import DomainFacts
+from gelgap.data.formats.domain_folder import DomainName
+from gelgap.data.formats.optional_columns import OptionalColumn
+from gelgap.data.frames.labels import PAPER_FORCE_RANGE_N
+from gelgap.data.frames.stored import GeneratedDomain
+from gelgap.data.random_stream import random_stream
+from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
+from gelgap.render import Illumination, Markers, Sensor
+from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import ContactPath, Elastomer, ForcePath, Pose, PosePath, Sphere, load_indenter, load_path
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.path import DrawnPath
@@ -248,6 +254,34 @@ class DomainRecipe(Settings):
             return False
         depths = {pose.depth_mm for pose in self.path.poses if pose.depth_mm > 0 and pose.trajectory is None}
         return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES
+
+
+def shown_markers(sensor: Sensor, wanted: bool) -> Markers | None:
+    """Return the markers that pictures show where they are wanted; a flat field may have them where none are listed."""
+    has_markers = sensor.markers.layout != "none" or sensor.flat_field is not None
+    return sensor.markers if wanted and has_markers else None
+
+
+def facts_of(recipe: DomainRecipe) -> DomainFacts:
+    """Return what readers of the domain need to know of its gel, camera and gauge."""
+    gel, camera = recipe.elastomer, recipe.sensor.camera
+    return DomainFacts(
+        young_modulus_mpa=gel.young_modulus_mpa,
+        poisson_ratio=gel.poisson_ratio,
+        thickness_mm=gel.thickness_mm,
+        friction=gel.friction,
+        static_friction=gel.static_friction,
+        mount_stiffness_n_per_mm=gel.mount_stiffness_n_per_mm,
+        shows_markers=shown_markers(recipe.sensor, recipe.markers) is not None,
+        force_bias_n=recipe.drawn_errors().force_bias_n if recipe.acquisition.force_bias_n else None,
+        camera=Pinhole(**{name: getattr(camera, name) for name in Pinhole.model_fields}),
+        traction_half_extent_mm=view_half_extent_mm(camera, recipe.size_px),
+    )
+
+
+def recipe_of(domain: GeneratedDomain) -> DomainRecipe:
+    """Return the configuration that a domain was generated from."""
+    return DomainRecipe(**domain.manifest["configuration"])
 
 
 def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:

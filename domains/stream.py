@@ -13,11 +13,11 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gelgap.assets.names import one_line
-from gelgap.domains.domain import word
-from gelgap.domains.formats.pictures import encode_png
-from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames
-from gelgap.domains.frames.joined import join_domains
-from gelgap.domains.frames.run_labels import within_range
+from gelgap.data.formats.pictures import encode_png
+from gelgap.data.frames.dataset import ArrayFrames, LabelledFrames
+from gelgap.data.frames.joined import join_domains
+from gelgap.data.frames.run_labels import within_range
+from gelgap.data.random_stream import word
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
 from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges

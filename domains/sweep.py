@@ -1,4 +1,4 @@
-"""Sweeps: domains that differ from a base domain in chosen factors, and how far any two domains are apart."""
+"""Sweeps: domains that differ from a base domain in chosen factors."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,12 +14,11 @@ from gelgap.assets.checksums import with_checksum
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
-from gelgap.domains.formats.domain_folder import DomainName
-from gelgap.domains.generation.shard import renderer_of
+from gelgap.data.formats.domain_folder import DomainName
+from gelgap.domains.gap import domain_gap
 from gelgap.domains.pretraining import RisingInterval
-from gelgap.domains.recipe import DomainRecipe, differences, make_recipes, read_with_path
-from gelgap.render import Markers, Sensor, Variation, vary_illumination, vary_sensor
-from gelgap.render.renderer import reference_gap
+from gelgap.domains.recipe import DomainRecipe, make_recipes, read_with_path
+from gelgap.render import Variation, vary_illumination, vary_sensor
 
 Value = float | int | str | bool | None
 
@@ -180,86 +179,3 @@ def _change(node: Any, steps: Sequence[str], factor: Factor, value: Value) -> No
             )
         else:
             node[key] = old * value if factor.change == "scale" else old + value
-
-
-@dataclass(frozen=True)
-class DomainGap:
-    """The gap from a base domain to another.
-
-    `modulus_ratio` is E over the base's E; `colour_difference` the mean CIEDE2000 between the two reference pictures
-    without markers and noise, `colour_difference_p95` its 95th percentile over the pixels; `markers` says whether they
-    are `equal`, `added`, `removed` or `changed`, `fields` which fields of the configuration differ.
-    """
-
-    modulus_ratio: float
-    colour_difference: float
-    colour_difference_p95: float
-    markers: str
-    fields: tuple[str, ...]
-
-
-def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
-    """Return the gap from `base` to `other`, from their recipes alone."""
-    colours = reference_gap(renderer_of(base), renderer_of(other))
-    return DomainGap(
-        modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
-        colour_difference=round(colours.mean, 3),
-        colour_difference_p95=round(colours.percentile_95, 3),
-        markers=markers_gap(*(shown_markers(own.sensor, own.markers) for own in (base, other))),
-        fields=tuple(name for name, _, _ in differences(base.configuration(), other.configuration())),
-    )
-
-
-def shown_markers(sensor: Sensor, wanted: bool) -> Markers | None:
-    """Return the markers that pictures show where they are wanted; a flat field may have them where none are listed."""
-    has_markers = sensor.markers.layout != "none" or sensor.flat_field is not None
-    return sensor.markers if wanted and has_markers else None
-
-
-def markers_gap(before: Markers | None, after: Markers | None) -> str:
-    """Return whether markers are `equal`, `added`, `removed` or `changed`."""
-    if before == after:
-        return "equal"
-    return "added" if before is None else "removed" if after is None else "changed"
-
-
-def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
-    """Return what of a gap no picture shows, in sentences; from the recipes alone.
-
-    A camera sees the membrane. Two gels with the same membrane and other forces cannot be told apart by it, whatever
-    the network and however it is adapted: only labels of the target can.
-    """
-    one, other, notes = source.elastomer, target.elastomer, []
-    if one.young_modulus_mpa != other.young_modulus_mpa:
-        ratio = other.young_modulus_mpa / one.young_modulus_mpa
-        note = (
-            f"modulus {one.young_modulus_mpa:g} and {other.young_modulus_mpa:g} MPa: the same dent takes × {ratio:.3g} "
-            f"the force on {target.name}"
-        )
-        if {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm} != {None}:
-            note += "; how far the rig yields only makes its dents shallower or deeper"
-        notes.append(note)
-    if (one.thickness_mm, one.poisson_ratio) != (other.thickness_mm, other.poisson_ratio):
-        notes.append(
-            f"thickness {one.thickness_mm:g} and {other.thickness_mm:g} mm, Poisson's ratio {one.poisson_ratio:g} and "
-            f"{other.poisson_ratio:g}: the same dent takes another force, and only the bulge around it looks different"
-        )
-    frictions = [
-        f"{gel.friction:g}" + (f" (static {gel.static_friction:g})" if gel.static_friction else "")
-        for gel in (one, other)
-    ]
-    if frictions[0] != frictions[1]:
-        notes.append(
-            f"friction {' and '.join(frictions)}: as long as a contact sticks, no picture shows how much "
-            "shear it would bear; where one gel slips and the other sticks, shear differs"
-        )
-    bare = [own.name for own in (source, target) if shown_markers(own.sensor, own.markers) is None]
-    if bare:
-        notes.append(
-            f"no markers on {' and '.join(bare)}: a single picture shows shear only in how the dent and its shading "
-            "lean; how far the dent has moved is seen from first touch on (input touch, needs trajectories)"
-        )
-    if target.acquisition.force_bias_n:
-        bias = ", ".join(f"{value:.2g}" for value in target.drawn_errors().force_bias_n)
-        notes.append(f"the force gauge of {target.name} is off by ({bias}) N, which no picture shows")
-    return notes

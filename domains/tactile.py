@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.names import one_line
-from gelgap.domains.formats.pictures import encode_png
+from gelgap.data.formats.pictures import encode_png
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, LibraryPlan, MembraneState, Pose, PoseLibrary, PoseRanges, Sphere
 from gelgap.sim.indenter import Indenter

@@ -21,7 +21,7 @@ from gelgap.adapt import (
     train_source,
     with_modulus_ratio,
 )
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 
 def main(source: Path, target: Path, profile: str | Profile = "smoke", loads: int = 5, seed: int = 0) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from gelgap.domains import generate_recipes, make_recipes, open_domain
+from gelgap.data import open_domain
+from gelgap.domains import generate_recipes, make_recipes
 from gelgap.sim import ContactPath
 
 

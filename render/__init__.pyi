@@ -1,7 +1,5 @@
 from .camera import Camera as Camera
 from .imaging import encode as encode
-from .inpainting import detect_markers as detect_markers
-from .inpainting import inpaint_telea as inpaint_telea
 from .light.leds import Illumination as Illumination
 from .light.leds import Led as Led
 from .light.spectra import PeakSpectrum as PeakSpectrum

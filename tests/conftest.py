@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from generated_domains import data, few_solves, make, small_shards  # noqa: F401
 from hypothesis import HealthCheck, settings
 from quick_solves import coarsen
 
 from gelgap.adapt.profile import Profile
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 # How long an example takes says how busy the machine is.
 settings.register_profile("gelgap", deadline=None, suppress_health_check=[HealthCheck.too_slow])

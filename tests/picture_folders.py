@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from gelgap.domains import LabelledFrames
-from gelgap.domains.formats.pictures import encode_png
+from gelgap.data import LabelledFrames
+from gelgap.data.formats.pictures import encode_png
 
 
 def write_pictures(folder: Path, frames: LabelledFrames, **columns: Sequence[Any]) -> Path:

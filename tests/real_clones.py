@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 SIZE_PX = (160, 120)
 REST_LEVEL = 100.0

@@ -8,7 +8,7 @@ import pytest
 from loaded_file import load_file
 from quick_solves import coarsen, shrink_libraries
 
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 from gelgap.sim import ContactPath, PoseRanges
 
 pytestmark = pytest.mark.usefixtures("coarse")

@@ -18,10 +18,10 @@ from valid_files import DOMAIN, KINDS
 
 from gelgap.adapt import write_report
 from gelgap.assets.checksums import SUMS, sha256, with_checksum
-from gelgap.domains import export, open_domain, verify_domain
-from gelgap.domains.formats.domain_folder import DomainFolder
-from gelgap.domains.formats.shards import PICTURE, POINTS
-from gelgap.domains.inspection import inspect_domain
+from gelgap.data import export, open_domain, verify_domain
+from gelgap.data.formats.domain_folder import DomainFolder
+from gelgap.data.formats.shards import PICTURE, POINTS
+from gelgap.data.inspection import inspect_domain
 
 DEEP = b"[" * 200_000
 Content = bytes | Callable[[Path], bytes]

@@ -9,7 +9,7 @@ from network_weights import weights
 from valid_files import PROFILE
 
 from gelgap.adapt import train_source
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 
 def check_made_anew(file: Path, make: Callable[[], np.ndarray], expected: np.ndarray) -> None:

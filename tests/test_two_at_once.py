@@ -12,7 +12,7 @@ import pytest
 from picture_folders import forces_of, write_pictures
 
 from gelgap.cli.main import main
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 PROCESSES = 2
 SOLVE = """

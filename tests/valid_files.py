@@ -14,10 +14,11 @@ from quick_solves import coarsen
 from gelgap.adapt import ForceModel, Profile, adapt_folders, load_predictions, load_runs
 from gelgap.adapt.network import load_imagenet_weights, make_network
 from gelgap.assets import asset_path
-from gelgap.domains import Sweep, generate, open_domain
-from gelgap.domains.formats.pictures import encode_jpeg, encode_png
+from gelgap.calibrate.pictures import read_presses
+from gelgap.data import open_domain
+from gelgap.data.formats.pictures import encode_jpeg, encode_png
+from gelgap.domains import Sweep, generate
 from gelgap.render import Illumination, Sensor
-from gelgap.render.calibration.pictures import read_presses
 from gelgap.sim import ContactPath, MembraneState, load_path
 from gelgap.sim.membrane import grid_axes
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.image_file import SHEET, read_image
-from gelgap.domains.press_folder import LIST, save_marks
-from gelgap.render.calibration.pictures import ListedPress, read_press_list
+from gelgap.calibrate.pictures import ListedPress, read_press_list
+from gelgap.calibrate.press_folder import LIST, save_marks
 from gelgap.render.imaging import difference_picture
 from gelgap.view.page import start_server
 from gelgap.view.panels import sentence_html

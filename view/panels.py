@@ -7,8 +7,9 @@ import numpy as np
 import viser
 
 from gelgap.assets import html_page
-from gelgap.domains.formats.pictures import encode_jpeg
-from gelgap.domains.sweep import DomainGap, markers_gap, shown_markers
+from gelgap.data.formats.pictures import encode_jpeg
+from gelgap.domains.gap import DomainGap, markers_gap
+from gelgap.domains.recipe import shown_markers
 from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker
 from gelgap.view.state import Configuration, Shown
 

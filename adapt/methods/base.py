@@ -1,23 +1,14 @@
-"""What an adaptation method is, what it may work with, and how a training may fail."""
+"""The contract of adaptation methods: what one is given, what it returns, and how a training may fail."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from traceback import extract_tb
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
-import torch
 from pydantic import Field
 from torch import Tensor, nn
-from torch.optim import Optimizer
 
-from gelgap.adapt.data import normalised_labels
-from gelgap.adapt.model import estimate_statistics
-from gelgap.adapt.network import Activations, ForceNetwork
-from gelgap.adapt.profile import Profile
 from gelgap.assets.settings import Settings
-from gelgap.domains import LabelledFrames
 
 
 class FeatureCollapse(RuntimeError):
@@ -28,21 +19,6 @@ class TrainingDiverged(RuntimeError):
     """Losses or gradients are not finite."""
 
 
-def descend(optimizer: Optimizer, loss: Tensor, what: str) -> None:
-    """Take a step of the optimiser on a loss.
-
-    Raises
-    ------
-    TrainingDiverged
-        If the loss is not finite.
-    """
-    if not torch.isfinite(loss):
-        raise TrainingDiverged(f"{what}: the loss is not finite; lower the learning rate")
-    optimizer.zero_grad(set_to_none=True)
-    loss.backward()
-    optimizer.step()
-
-
 class MethodSettings(Settings):
     """Hyperparameters of one method (frozen); a method that has more declares its own."""
 
@@ -50,9 +26,22 @@ class MethodSettings(Settings):
         default=None, ge=0, description="λ_t at the end of the ramp; by default the profile's"
     )
 
-    def final_weight(self, profile: Profile) -> float:
-        """Return λ_t at the end of the ramp."""
-        return profile.transfer_weight if self.transfer_weight is None else self.transfer_weight
+
+@dataclass(frozen=True)
+class Activations:
+    """The network's output for a batch of B frames of one domain, and their known labels.
+
+    inputs (B, channels, h, w) before a method perturbed them; features (B, D) after the bottleneck's ReLU, prediction
+    (B, k) in [0, 1], logits (B, C) where the method uses the classifier; force (B, k) in [0, 1] and contact_class (B,)
+    only where labels may be used. k is 3, the axes of the force, unless a run has other labels; these take their place.
+    """
+
+    features: Tensor
+    prediction: Tensor
+    logits: Tensor | None = None
+    force: Tensor | None = None
+    contact_class: Tensor | None = None
+    inputs: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -79,26 +68,41 @@ class TransferLoss:
     diagnostics: Mapping[str, float | Tensor] = field(default_factory=dict)
 
 
+class Pictures(Protocol):
+    """The pictures of a domain's training frames as the network is shown them."""
+
+    def inputs(self, rows: np.ndarray | Tensor) -> Tensor:
+        """Return inputs (B, channels, h, w) float32 of these frames, by their numbers."""
+
+    def __len__(self) -> int: ...
+
+
 @dataclass(frozen=True)
 class Adaptation:
-    """What a method without a loss works with while it adapts `network` in place: training frames of both domains.
+    """What a method without a loss works with while it adapts a network in place.
 
-    Of the target it is given pictures alone, and of the source also the labels, normalised to [0, 1].
+    Of the target it is given pictures alone.
+
+    Attributes
+    ----------
+    network
+        The network of stage 1: `features(inputs)` gives (B, D), `regressor(features)` the labels (B, k) in [0, 1].
+    seed
+        The run's, for random numbers.
+    source_pictures, target_pictures
+        Give the pictures of a domain's training frames.
+    source_labels
+        Labels (n, k) of the source's training frames, normalised to [0, 1].
+    estimate_target_statistics
+        Replaces the batch normalisations' statistics by those of the target's pictures.
     """
 
-    network: ForceNetwork
-    profile: Profile
+    network: nn.Module
     seed: int
-    source: LabelledFrames
-    target: LabelledFrames
-
-    def estimate_target_statistics(self) -> None:
-        """Replace the batch normalisations' statistics by those of the target's pictures."""
-        estimate_statistics(self.network, self.target, self.profile, self.seed)
-
-    def source_mean(self) -> np.ndarray:
-        """Return the mean normalised labels (k,) of the source's frames."""
-        return normalised_labels(self.source).mean(axis=0)
+    source_pictures: Callable[[], Pictures]
+    target_pictures: Callable[[], Pictures]
+    source_labels: np.ndarray
+    estimate_target_statistics: Callable[[], None]
 
 
 class Method(nn.Module):
@@ -138,21 +142,6 @@ class Method(nn.Module):
         self.n_classes = n_classes
         self.n_labels = n_labels
 
-    @classmethod
-    def check_classes(cls, name: str, source: LabelledFrames) -> None:
-        """Raise a ValueError if it needs contact classes, and frames of the source have none, or all the same."""
-        if cls.uses_classifier and not source.has_classes:
-            raise ValueError(
-                f"method {name} needs contact classes, and source {source.name} has frames without one: choose "
-                "another method, classes from force (--classes from-force 12), or a source whose frames all have a "
-                "class, as `gelgap generate` writes them on the paper's path"
-            )
-        if cls.uses_classifier and len(np.unique(source.contact_class)) < 2:
-            raise ValueError(
-                f"method {name} needs source frames of at least 2 contact classes, and the {len(source)} of "
-                f"{source.name} are of one: take more frames, or choose another method"
-            )
-
     @property
     def trains(self) -> bool:
         """Whether stage 2 trains the network by the method's loss: unless the method has an `adapt` of its own."""
@@ -174,19 +163,21 @@ class Method(nn.Module):
         return None if step.weight == 0 else TransferLoss(self.transfer_loss(source, target), step.weight)
 
 
-def loss_of(method: Method, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
-    """Return a method's loss; a RuntimeError names the line of its code that fails, or what is no loss."""
+def loss_of(
+    method: Method, source: Activations, target: Activations | None, step: Step
+) -> TransferLoss | None:
+    """Return a method's loss; a RuntimeError says what in its code fails, or what is no loss."""
     name = type(method).__name__
     try:
-        found = method.loss(source, target, step)
+        added = method.loss(source, target, step)
     except (FeatureCollapse, TrainingDiverged):
         raise
     except Exception as error:
-        own = [frame for frame in extract_tb(error.__traceback__) if "/torch/" not in frame.filename]
-        place = f"line {own[-1].lineno} of {Path(own[-1].filename).name}"
-        raise RuntimeError(f"method {name}, {place}: {type(error).__name__}: {error}") from error
-    value = getattr(found, "value", None)
-    if found is not None and not (isinstance(value, Tensor) and value.numel() == 1):
+        raise RuntimeError(f"method {name}: {type(error).__name__}: {error}") from error
+    if added is None:
+        return None
+    value = getattr(added, "value", None)
+    if not (isinstance(value, Tensor) and value.numel() == 1):
         value = getattr(value, "shape", value)
         raise RuntimeError(f"method {name}: its loss must be a scalar tensor, and is {value}")
-    return found
+    return added

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Adaptation, Method, Step, TransferLoss
-from gelgap.adapt.network import Activations
+from gelgap.adapt.methods.base import Activations, Adaptation, Method, Step, TransferLoss
 
 
 class ConstantMean(Method):
@@ -20,7 +19,7 @@ class ConstantMean(Method):
     def adapt(self, adaptation: Adaptation) -> None:
         """Set the head to the source's mean force."""
         head = adaptation.network.regressor[0]
-        mean = torch.as_tensor(adaptation.source_mean(), dtype=head.bias.dtype)
+        mean = torch.as_tensor(adaptation.source_labels.mean(axis=0), dtype=head.bias.dtype)
         with torch.no_grad():
             head.weight.zero_()
             head.bias.copy_(torch.logit(mean))

@@ -17,8 +17,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
-from gelgap.adapt.network import Activations
+from gelgap.adapt.methods.base import Activations, Method, MethodSettings, Step, TransferLoss
 
 
 def reverse_gradient(features: Tensor, weight: float) -> Tensor:

@@ -14,8 +14,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.network import Activations
+from gelgap.adapt.methods.base import Activations, Method, MethodSettings
 
 
 def daregram(

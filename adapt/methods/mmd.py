@@ -24,8 +24,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
-from gelgap.adapt.network import Activations
+from gelgap.adapt.methods.base import Activations, Method, MethodSettings, Step, TransferLoss
 
 KERNEL_COUNT = 5
 

@@ -11,8 +11,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.network import Activations
+from gelgap.adapt.methods.base import Activations, Method, MethodSettings
 
 
 def projection_distance(source: Tensor, target: Tensor, ridge: float = 1e-3) -> Tensor:

@@ -23,9 +23,8 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
+from gelgap.adapt.methods.base import Activations, Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.methods.mmd import mk_mmd
-from gelgap.adapt.network import Activations
 
 _LEAST = 1e-5
 

@@ -14,7 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from gelgap.adapt.methods import registry as known
-from gelgap.domains import DomainRecipe, LabelledFrames, in_drawn_lights, make_recipes, own_recipe
+from gelgap.data import LabelledFrames
+from gelgap.domains import DomainRecipe, in_drawn_lights, make_recipes, own_recipe
 from gelgap.sim import Pose, PosePath
 
 Group = tuple[str, str]

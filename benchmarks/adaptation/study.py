@@ -25,8 +25,9 @@ from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
-from gelgap.domains import DomainRecipe, LabelledFrames, generate_recipes, join_domains, open_domain
-from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.data import LabelledFrames, join_domains, open_domain
+from gelgap.data.frames.stored import GeneratedDomain
+from gelgap.domains import DomainRecipe, generate_recipes
 
 RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}

@@ -19,14 +19,14 @@ from gelgap.assets.locks import sole_use
 from gelgap.assets.names import comma_list, quoted
 from gelgap.assets.progress import shown_progress
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX
+from gelgap.data.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
+from gelgap.data.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.domain import Domain
-from gelgap.domains.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
-from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_answers, check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, make_recipes
+from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, facts_of, make_recipes
 from gelgap.sim import ContactPath, PosePath
 
 LOG = logging.getLogger(__name__)
@@ -238,12 +238,21 @@ class DomainWriter:
             for path in self.folder.path.glob(pattern):
                 if path.name not in self.files:
                     path.unlink()
-        if not self.skipped:
+        if self.skipped:
+            self._add_facts()
+        else:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
         if REFERENCE not in self.files:
             self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
             self._write_manifest()
+
+    def _add_facts(self) -> None:
+        """State what gelgap up to 0.3.0 did not in the manifest of a finished domain; its frames stay as they are."""
+        manifest = self.folder.read_manifest()
+        if "facts" not in manifest:
+            manifest["facts"] = facts_of(self.recipe).model_dump(mode="json")
+            self.folder.write_manifest(manifest)
 
     def write_shard(self, shard: Shard) -> int:
         """Write one shard and enter it in the manifest; return how many bytes it has."""
@@ -272,6 +281,7 @@ class DomainWriter:
             "force_range_n": recipe.force_range_n,
             "force_min_n": np.min(lows, axis=0).tolist() if lows else None,
             "force_max_n": np.max(highs, axis=0).tolist() if highs else None,
+            "facts": facts_of(recipe).model_dump(mode="json"),
             "height_map": {"step_mm": HEIGHT_MAP_STEP_MM, "offset_mm": HEIGHT_MAP_OFFSET_MM},
             "versions": package_versions(),
             "files": dict(sorted(self.files.items())),

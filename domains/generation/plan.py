@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from gelgap.assets.checksums import canonical_json, sha256
-from gelgap.domains.formats.domain_folder import shard_name
+from gelgap.data.formats.domain_folder import shard_name
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import ContactPath, Elastomer, LibraryPlan, Pose, PosePath, PoseRanges, plan_solves
 from gelgap.sim.indenter import Indenter

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gelgap.domains.domain import random_stream
-from gelgap.domains.formats.pictures import encode_png, without_markers
-from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, View, encode_shard, picture_cell
-from gelgap.domains.frames.labels import FORCE_COLUMNS
-from gelgap.domains.frames.splits import PARTS, draw_parts
+from gelgap.data.formats.pictures import encode_png, without_markers
+from gelgap.data.formats.shards import LABELS, OPTIONAL, Column, encode_shard, picture_cell
+from gelgap.data.frames.labels import FORCE_COLUMNS
+from gelgap.data.frames.splits import PARTS, draw_parts
+from gelgap.data.random_stream import random_stream
+from gelgap.domains.generation.columns import CELL_MAKERS, LABEL_MAKERS, Contact, View
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Sensor
@@ -138,7 +139,8 @@ def picture_cells(
     )
     cells = []
     for recipe in recipes:
-        optional = {column.name: column.cell(view) for column in _optional(recipe) if column.cell}
+        chosen = [column.name for column in _optional(recipe) if not column.is_label]
+        optional = {name: CELL_MAKERS[name](view) for name in chosen}
         cells.append({"image": picture_cell(_as_shown(recipe, picture))} | optional)
     return cells
 
@@ -171,7 +173,7 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=8)
 def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]:
     """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
-    columns = (*LABELS, *(column for column in _optional(recipe) if column.value))
+    names = [column.name for column in (*LABELS, *_optional(recipe)) if column.is_label]
     poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
     split = draw_parts(recipe.frames, recipe.seed)
     last_travel = max(number for number, _ in travels) + 1
@@ -190,7 +192,7 @@ def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]
         contact = Contact(
             frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label
         )
-        return {column.name: column.value(contact) for column in columns}
+        return {name: LABEL_MAKERS[name](contact) for name in names}
 
     return cells
 

@@ -5,7 +5,7 @@ import pytest
 from gelgap.adapt import ForceModel, Profile
 from gelgap.adapt.data import split_for_training
 from gelgap.adapt.trainer import train_source
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.few_labels import affine_correction, draw_labelled, fine_tune
 from gelgap.adapt.model import AffineCorrection, ForceModel
 from gelgap.adapt.trainer import adapt
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 
 @pytest.fixture(scope="module")

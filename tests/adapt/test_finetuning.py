@@ -11,7 +11,7 @@ from gelgap.adapt import ForceModel, evaluate, finetune
 from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.few_labels import Pretraining
 from gelgap.cli.main import main
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 
 @pytest.fixture(scope="module")

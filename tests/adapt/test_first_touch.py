@@ -9,8 +9,8 @@ from gelgap.adapt.data import Batch, turn_dents
 from gelgap.adapt.few_labels import affine_correction
 from gelgap.adapt.prediction import predict_each
 from gelgap.adapt.trainer import untrained
-from gelgap.domains import ArrayFrames, Labels
-from gelgap.domains.frames.first_touch import dents_from_touch
+from gelgap.data import ArrayFrames, Labels
+from gelgap.data.frames.first_touch import dents_from_touch
 
 SIZE_PX = (48, 36)
 TOUCH = Profile.preset("smoke").replace(

@@ -9,7 +9,7 @@ from gelgap.adapt.evaluation import as_judged_on_source
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.runs import stage1_profile
 from gelgap.adapt.trainer import adapt, batches_of, train_source
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 DOT = (slice(14, 17), slice(18, 21))
 
@@ -17,9 +17,7 @@ DOT = (slice(14, 17), slice(18, 21))
 @pytest.fixture
 def easy_markers(monkeypatch):
     """Pictures of 40×32 px are too small for the detection: here a marker is what is black."""
-    monkeypatch.setattr(
-        "gelgap.domains.frames.dataset.without_markers", lambda picture: picture.clip(100, 255)
-    )
+    monkeypatch.setattr("gelgap.data.frames.dataset.without_markers", lambda picture: picture.clip(100, 255))
 
 
 def dotted(frames: ArrayFrames) -> ArrayFrames:
@@ -72,7 +70,7 @@ def test_stage_2_hides_markers_in_both_domains_independently(source, target, pro
 
 
 def test_without_hiding_nothing_is_inpainted(source, target, profile, monkeypatch):
-    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", pytest.fail)
+    monkeypatch.setattr("gelgap.data.frames.dataset.without_markers", pytest.fail)
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     adapt(train_source(source, short), source, target, "dan")
 

@@ -9,7 +9,7 @@ from gelgap.adapt.data import network_inputs, size_notes
 from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
 from gelgap.adapt.model import input_map
-from gelgap.domains import ArrayFrames, LabelledFrames, join_domains, with_labels
+from gelgap.data import ArrayFrames, LabelledFrames, join_domains, with_labels
 from gelgap.render import Camera
 
 SIZE_PX = (64, 48)

@@ -23,7 +23,7 @@ from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.report import axis_table, error_table, force_scatter
 from gelgap.assets.checksums import SUMS
 from gelgap.cli.main import main
-from gelgap.domains import ArrayFrames, Labels, with_labels
+from gelgap.data import ArrayFrames, Labels, with_labels
 
 
 def on(frames: ArrayFrames, *axes: str, **columns) -> ArrayFrames:

@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Step
+from gelgap.adapt.methods.base import Activations, Step
 from gelgap.adapt.methods.dann import CDAN, DANN, domain_loss, multilinear_map, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram
 from gelgap.adapt.methods.fourier_style import in_the_style_of
@@ -30,7 +30,6 @@ from gelgap.adapt.methods.mmd import (
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar
-from gelgap.adapt.network import Activations
 from gelgap.assets import asset_path
 from gelgap.assets.array_file import read_arrays
 

@@ -7,7 +7,7 @@ import pytest
 
 from gelgap.adapt import ForceModel, fit_modulus_ratio, predict_each, with_modulus_ratio
 from gelgap.adapt.model import AffineCorrection
-from gelgap.domains import Labels
+from gelgap.data import Labels
 from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
 

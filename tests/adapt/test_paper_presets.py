@@ -3,8 +3,8 @@
 import numpy as np
 
 from gelgap.adapt import Profile
+from gelgap.data.formats.pictures import resized
 from gelgap.domains import preset_recipes
-from gelgap.domains.formats.pictures import resized
 
 
 def test_data_of_the_paper_preset_fit_the_paper_profile():

@@ -23,7 +23,7 @@ from gelgap.adapt.evaluation import evaluate_predictions
 from gelgap.adapt.model import AffineCorrection
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.prediction import range_note, read_pictures
-from gelgap.domains import ArrayFrames, Labels
+from gelgap.data import ArrayFrames, Labels
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 
 INPUTS = [

@@ -13,7 +13,7 @@ from gelgap.adapt.model import ForceModel
 from gelgap.adapt.onnx_file import export_onnx
 from gelgap.adapt.prediction import predict_each
 from gelgap.adapt.trainer import adapt, train_source, untrained
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 SEQUENCE = Profile.preset("smoke").replace(
     sequence_length=3, width=0.125, feature_dim=8, image_size_px=(32, 32), source_epochs=1, adapt_epochs=1

@@ -10,7 +10,7 @@ from picture_folders import write_pictures
 from gelgap.adapt import adapt_folders, evaluate, finetune, load_predictions, load_run, split_for_training
 from gelgap.adapt.report import selection_table, write_report
 from gelgap.cli.main import main
-from gelgap.domains import ArrayFrames, Labels, open_domain
+from gelgap.data import ArrayFrames, Labels, open_domain
 
 
 def pictures(frames: ArrayFrames, name: str, **columns) -> ArrayFrames:

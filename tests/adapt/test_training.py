@@ -16,6 +16,7 @@ from gelgap.adapt.data import (
     TrainingDomain,
     epoch_order,
     network_inputs,
+    normalised_labels,
     split_for_training,
     steps_per_epoch,
 )
@@ -29,7 +30,7 @@ from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
 from gelgap.adapt.trainer import adapt, batches_of, train_source, untrained
-from gelgap.domains import ArrayFrames, join_domains
+from gelgap.data import ArrayFrames, join_domains
 
 
 def altered(frames: ArrayFrames, **changes: np.ndarray) -> ArrayFrames:
@@ -296,13 +297,18 @@ def test_own_method(stage1, source, target):
 def test_an_own_adaptation_is_given_pictures_alone(stage1, source, target):
     class Peeping(Method):
         def adapt(self, adaptation):
-            assert adaptation.target.columns.keys() == {"frame_id"}
-            assert np.array_equal(adaptation.target.images(), target.images())
-            return adaptation.target.force_n
+            shown = adaptation.target_pictures()
+            pictures = target.torch(stage1.profile.image_size_px, stage1.profile.pairing)
+            assert torch.equal(shown.inputs(np.arange(5)), pictures.inputs(np.arange(5)))
+            assert len(shown) == len(target)
+            assert shown.pictures.label_values.shape == (len(target), 0)
+            assert np.array_equal(adaptation.source_labels, normalised_labels(source))
+            seen.append(shown)
 
     register("peeping", Peeping)
-    with pytest.raises(ValueError, match="wmb1i1 has no label fx_n, fy_n, fz_n; its labels: none"):
-        adapt(stage1, source, target, "peeping")
+    seen = []
+    adapt(stage1, source, target, "peeping")
+    assert len(seen) == 1
 
 
 def test_a_source_among_several_that_is_the_target_is_refused_where_its_test_frames_would_be_trained_on(

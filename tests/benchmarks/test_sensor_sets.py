@@ -10,8 +10,8 @@ import pytest
 
 from gelgap.benchmarks import sensor_sets
 from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.calibrate.profiles import PressProfiles, SolvedPress
 from gelgap.render import Markers, MembraneRenderer, Sensor
-from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
 
 SIZE_PX = (120, 90)
 RADIUS_MM, DEPTH_MM, EXTENT_MM = 1.5, 0.6, (10.5, 9.0)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gelgap.benchmarks.throughput import reading_rates
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 
 def test_every_way_to_read_a_domain_has_a_rate(valid_files: Path):

@@ -83,7 +83,7 @@ def options_of(command: str, field: str) -> set[str]:
 
 
 def test_the_layouts_of_export_and_convert_are_those_that_there_are() -> None:
-    assert options_of("export", "format_name") == set(import_module("gelgap.domains.formats.export").FORMATS)
-    published = import_module("gelgap.domains.formats.published_sets").LAYOUTS
-    own = import_module("gelgap.domains.formats.convert").LAYOUTS
+    assert options_of("export", "format_name") == set(import_module("gelgap.data.formats.export").FORMATS)
+    published = import_module("gelgap.data.formats.published_sets").LAYOUTS
+    own = import_module("gelgap.data.formats.convert").LAYOUTS
     assert options_of("convert", "layout") == set(own) | set(published)

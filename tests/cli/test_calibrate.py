@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from gelgap.calibrate.calibrator import HeldOut, LightCalibration
+from gelgap.calibrate.pictures import PressPicture, read_presses
+from gelgap.calibrate.prediction import PredictedPress
 from gelgap.cli.calibrate import doubt_of_scale, prediction_lines
 from gelgap.cli.main import main
-from gelgap.domains.press_prediction import PredictedPress
 from gelgap.render import Camera, Sensor
-from gelgap.render.calibration.calibrator import HeldOut, LightCalibration
-from gelgap.render.calibration.pictures import PressPicture, read_presses
 from gelgap.render.flat_field import FlatFieldMaps
 from gelgap.render.light.scattered import Scattered
 
@@ -69,9 +69,7 @@ def fitted_light() -> LightCalibration:
 def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, **__: fitted_light()
-    )
+    monkeypatch.setattr("gelgap.calibrate.calibrator.calibrate_light", lambda *_, **__: fitted_light())
     presses = listed(tmp_path, "depth_mm = 0.6")
     given = [str(presses), "--reference", str(tmp_path / "p.png"), "--sensor", "digit-like"]
     main(["calibrate", *given, "-o", str(tmp_path / "own.toml")])
@@ -93,9 +91,7 @@ def test_a_large_residual_is_warned_of(
     given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
     for rms, warned in ((4.9, False), (23.6, True)):
         fit = replace(fitted_light(), rms_code_values=rms)
-        monkeypatch.setattr(
-            "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, fit=fit, **__: fit
-        )
+        monkeypatch.setattr("gelgap.calibrate.calibrator.calibrate_light", lambda *_, fit=fit, **__: fit)
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
         assert ("gelgap: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
@@ -110,7 +106,7 @@ def test_what_makes_a_fit_doubtful_is_said(
     for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
         found = replace(fit, held_out=held_out, at_limits=limits)
         monkeypatch.setattr(
-            "gelgap.render.calibration.calibrator.calibrate_light", lambda *_, found=found, **__: found
+            "gelgap.calibrate.calibrator.calibrate_light", lambda *_, found=found, **__: found
         )
         main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
         out, err = capsys.readouterr()
@@ -180,6 +176,6 @@ def test_a_folder_that_takes_no_list_is_refused_before_anything_is_solved(
             raise OSError(30, "Read-only file system")
 
     monkeypatch.setattr("tempfile.TemporaryFile", lambda dir: temporary_file(dir) or nullcontext())
-    monkeypatch.setattr("gelgap.domains.press_folder.mark_presses", lambda *_: pytest.fail("solved"))
+    monkeypatch.setattr("gelgap.calibrate.press_folder.mark_presses", lambda *_: pytest.fail("solved"))
     given = tmp_path / "presses", "--ball-mm", "3", "--mm-per-px", "0.05", "-o", tmp_path / "a.toml"
     assert "presses cannot be written to (Read-only file system)" in refused("calibrate", *given)

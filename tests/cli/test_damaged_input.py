@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gelgap.cli.main import main
-from gelgap.domains import open_domain
+from gelgap.data import open_domain
 
 
 def test_a_method_that_needs_classes_is_refused_before_work_on_data_without(files: Path, refused) -> None:

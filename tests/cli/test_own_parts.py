@@ -14,7 +14,8 @@ from picture_folders import forces_of, write_pictures
 from gelgap.adapt.methods import registry
 from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
-from gelgap.domains import ArrayFrames, make_recipes, own_recipe
+from gelgap.data import ArrayFrames
+from gelgap.domains import make_recipes, own_recipe
 from gelgap.sim import Elastomer, Sphere
 
 GEL = 'description = "soft"\nyoung_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\nthickness_mm = 4.0\n'

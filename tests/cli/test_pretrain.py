@@ -10,8 +10,8 @@ from quick_solves import SMALL_RANGES, shrink_libraries
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
-from gelgap.domains import open_domain
-from gelgap.domains.frames.folders import domain_folders
+from gelgap.data import open_domain
+from gelgap.data.frames.folders import domain_folders
 
 
 def small_pretraining(folder: Path) -> str:

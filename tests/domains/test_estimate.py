@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import estimate, make_recipes, open_domain, preset_recipes
-from gelgap.domains.formats.pictures import encode_png
+from gelgap.data import open_domain
+from gelgap.data.formats.pictures import encode_png
+from gelgap.domains import estimate, make_recipes, preset_recipes
 
 SMALL = {"size_px": (80, 60), "render_quality": "draft"}
 

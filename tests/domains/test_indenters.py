@@ -8,15 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from gelgap.domains import (
-    DomainRecipe,
-    generate_recipes,
-    make_recipes,
-    open_domain,
-    preset_recipes,
-    split_frames,
-)
-from gelgap.domains.formats.shards import OPTIONAL
+from gelgap.data import open_domain, split_frames
+from gelgap.data.formats.shards import OPTIONAL
+from gelgap.domains import DomainRecipe, generate_recipes, make_recipes, preset_recipes
+from gelgap.domains.generation.columns import LABEL_MAKERS
 from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.render.normal_table import BallResidual
@@ -115,7 +110,7 @@ def test_turns_are_told_with_their_time_and_in_columns() -> None:
     (note,) = indenter_lines((recipe,))
     assert "turning: 1 solves" in note
     contact = SimpleNamespace(pose=path.poses[-1])
-    assert {column.name: column.value(contact) for column in OPTIONAL["turn"]} == {
+    assert {column.name: LABEL_MAKERS[column.name](contact) for column in OPTIONAL["turn"]} == {
         "roll_x_deg": 0.0,
         "roll_y_deg": 0.0,
         "twist_deg": 5.0,

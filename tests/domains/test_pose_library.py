@@ -10,7 +10,8 @@ from distributed import Client, LocalCluster
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelgap.domains import TactileSensor, estimate, make_recipes, open_domain
+from gelgap.data import open_domain
+from gelgap.domains import TactileSensor, estimate, make_recipes
 from gelgap.domains.generation.generate import GenerationReport, generate_recipes
 from gelgap.domains.generation.plan import Contacts
 from gelgap.sim import (

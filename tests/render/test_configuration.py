@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
-from gelgap.render.calibration.pictures import PressPicture
-from gelgap.render.calibration.profiles import SolvedPress
+from gelgap.calibrate.pictures import PressPicture
+from gelgap.calibrate.profiles import SolvedPress
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import picture_gap, point_spread
 from gelgap.render.light import spectra

@@ -90,7 +90,7 @@ print(pyrender.Mesh([]).bounds.shape)
 def test_rendering_modules_import_no_heavy_package():
     code = """
 import sys
-import gelgap.render.sensor, gelgap.render.light.leds, gelgap.render.inpainting, gelgap.render.imaging
+import gelgap.render.sensor, gelgap.render.light.leds, gelgap.data.inpainting, gelgap.render.imaging
 heavy = {"pyrender", "colour", "cv2", "torch", "mujoco", "matplotlib", "skimage"} & set(sys.modules)
 assert not heavy, heavy
 """

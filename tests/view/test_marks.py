@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gelgap.assets.image_file import SHEET
-from gelgap.domains.press_folder import save_marks
-from gelgap.render.calibration.pictures import ListedPress, PressList, read_press_list
+from gelgap.calibrate.pictures import ListedPress, PressList, read_press_list
+from gelgap.calibrate.press_folder import save_marks
 
 pytest.importorskip("viser")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.adaptation import board
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 from gelgap.sim.plan import plan_solves
 
 

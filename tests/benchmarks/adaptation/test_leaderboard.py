@@ -14,7 +14,7 @@ from gelgap.benchmarks.adaptation.groups import RULES
 from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, LIGHT_RUNS, changes_of
 from gelgap.benchmarks.adaptation.leaderboard import GROUPS, HANDED_IN, SEEDS, entry_grid, tables
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
-from gelgap.domains import ArrayFrames
+from gelgap.data import ArrayFrames
 
 TEN_LINES = """
 from gelgap.adapt import Method

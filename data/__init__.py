@@ -1,0 +1,5 @@
+"""Labelled frames on disk and in memory: opened, checked, split, converted and exported, whoever made them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,15 @@
+from .formats.convert import convert as convert
+from .formats.export import export as export
+from .formats.export import to_skada as to_skada
+from .frames.dataset import ArrayFrames as ArrayFrames
+from .frames.dataset import LabelledFrames as LabelledFrames
+from .frames.dataset import with_labels as with_labels
+from .frames.folders import open_domain as open_domain
+from .frames.joined import join_domains as join_domains
+from .frames.labels import Labels as Labels
+from .frames.splits import paired_contacts as paired_contacts
+from .frames.splits import split_domains as split_domains
+from .frames.splits import split_frames as split_frames
+from .inpainting import detect_markers as detect_markers
+from .inpainting import inpaint_telea as inpaint_telea
+from .inspection import verify_domain as verify_domain
