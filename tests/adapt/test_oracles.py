@@ -11,8 +11,13 @@ from gelgap.adapt.evaluation import (
     worse_than_constant,
 )
 from gelgap.data import ArrayFrames
+from gelgap.data.facts import unseen_differences
 from gelgap.domains import make_recipes
-from gelgap.domains.sweep import unseen_differences
+from gelgap.domains.recipe import DomainRecipe, facts_of
+
+
+def unseen(source: DomainRecipe, target: DomainRecipe) -> list[str]:
+    return unseen_differences(source.name, facts_of(source), target.name, facts_of(target))
 
 
 def labelled(force_n: np.ndarray, contact_class: np.ndarray, point_id: np.ndarray) -> ArrayFrames:
@@ -86,20 +91,19 @@ def test_pose_oracle_of_frames_is_the_force_scale(source):
 def test_adaptation_says_what_no_picture_of_its_gap_shows():
     """Own gel, own friction, no markers on the target: a sentence each, and none for a gap of light alone."""
     (source,) = make_recipes(["mb0i0"], "smoke")
-    assert unseen_differences(source, source) == []
+    assert unseen(source, source) == []
     (light,) = make_recipes(["mb0i2"], "smoke")
-    assert unseen_differences(source, light) == []
+    assert unseen(source, light) == []
     gel = source.elastomer.model_copy(update={"young_modulus_mpa": 0.15, "friction": 0.5})
     other = source.model_copy(update={"name": "own", "elastomer": gel, "markers": False})
-    modulus, friction, markers = unseen_differences(source, other)
+    modulus, friction, markers = unseen(source, other)
     assert "modulus 0.7 and 0.15 MPa: the same dent takes × 0.214 the force on own" in modulus
     assert "friction 0.24 and 0.5" in friction
     assert "no markers on own: a single picture shows" in markers
     assert "from first touch on" in markers
     thick = gel.model_copy(update={"thickness_mm": 4.0})
     assert any(
-        "thickness 3 and 4 mm" in n
-        for n in unseen_differences(other, other.model_copy(update={"elastomer": thick}))
+        "thickness 3 and 4 mm" in n for n in unseen(other, other.model_copy(update={"elastomer": thick}))
     )
 
 
