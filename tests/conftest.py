@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from generated_domains import data, few_solves, make, small_shards  # noqa: F401
 from hypothesis import HealthCheck, settings
 from quick_solves import coarsen
 

@@ -168,13 +168,13 @@ class PictureFiles(StoredFrames):
 
 
 def _camera_of(file: Path, width_px: int) -> Pinhole:
-    """Return the camera of a sensor file, or one with the file's `mm_per_px`."""
-    from gelgap.render import Sensor
-
+    """Return the camera's geometry in a sensor file, or one with the file's `mm_per_px`."""
     values = read_toml(file)
-    if set(values) != {"mm_per_px"}:
-        return Sensor.load(file).camera
     with named_in_errors(file):
+        if set(values) != {"mm_per_px"}:
+            if "camera" not in values:
+                raise ValueError("it has neither mm_per_px alone nor a sensor's table [camera]")
+            return Pinhole.of_camera(values["camera"])
         if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
             raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
         return Pinhole.showing(width_px * scale)

@@ -238,12 +238,21 @@ class DomainWriter:
             for path in self.folder.path.glob(pattern):
                 if path.name not in self.files:
                     path.unlink()
-        if not self.skipped:
+        if self.skipped:
+            self._add_facts()
+        else:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
         if REFERENCE not in self.files:
             self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
             self._write_manifest()
+
+    def _add_facts(self) -> None:
+        """State what gelgap up to 0.3.0 did not in the manifest of a finished domain; its frames stay as they are."""
+        manifest = self.folder.read_manifest()
+        if "facts" not in manifest:
+            manifest["facts"] = facts_of(self.recipe).model_dump(mode="json")
+            self.folder.write_manifest(manifest)
 
     def write_shard(self, shard: Shard) -> int:
         """Write one shard and enter it in the manifest; return how many bytes it has."""

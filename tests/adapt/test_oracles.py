@@ -16,10 +16,6 @@ from gelgap.domains import make_recipes
 from gelgap.domains.recipe import DomainRecipe, facts_of
 
 
-def unseen(source: DomainRecipe, target: DomainRecipe) -> list[str]:
-    return unseen_differences(source.name, facts_of(source), target.name, facts_of(target))
-
-
 def labelled(force_n: np.ndarray, contact_class: np.ndarray, point_id: np.ndarray) -> ArrayFrames:
     """Return frames of which only the labels matter."""
     images = np.zeros((len(force_n), 1, 1, 3), np.uint8)
@@ -86,6 +82,10 @@ def test_pose_oracle_of_frames_is_the_force_scale(source):
     assert result.mae_n[2] == pytest.approx(0.1 / 1.1 * np.abs(shuffled.force_n[:, 2]).mean(), rel=1e-3)
     with pytest.raises(ValueError, match="share no contact"):
         pose_oracle(source, labelled(source.force_n, source.contact_class, source.point_id + 100))
+
+
+def unseen(one: DomainRecipe, other: DomainRecipe) -> list[str]:
+    return unseen_differences(one.name, facts_of(one), other.name, facts_of(other))
 
 
 def test_adaptation_says_what_no_picture_of_its_gap_shows():

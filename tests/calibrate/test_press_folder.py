@@ -9,11 +9,10 @@ import pytest
 
 from gelgap.assets.image_file import SHEET, picture_files, visible_files
 from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.calibrate import marks
+from gelgap.calibrate import marks, press_folder
 from gelgap.calibrate.pictures import read_press_list
 from gelgap.calibrate.press_folder import mark_presses, stills_of
 from gelgap.calibrate.profiles import PressProfiles, SolvedPress
-from gelgap.domains import press_folder
 from gelgap.render import Markers, MembraneRenderer, Sensor
 
 SIZE_PX, BALL_MM, DEPTH_MM, EXTENT_MM = (160, 120), 3.0, 0.6, (10.5, 9.0)

@@ -109,7 +109,7 @@ def test_what_is_made_once_is_kept(data: Path, monkeypatch: pytest.MonkeyPatch):
 def test_opening_a_data_set_imports_no_heavy_package(data: Path):
     code = (
         "import sys\n"
-        "from gelgap.domains import open_domain\n"
+        "from gelgap.data import open_domain\n"
         "open_domain(sys.argv[1])\n"
         "heavy = {'torch', 'mujoco', 'colour', 'pyrender', 'cv2', 'numba', 'scipy', 'dask'}\n"
         "print(sorted(heavy & set(sys.modules)))\n"

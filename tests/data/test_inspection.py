@@ -12,6 +12,7 @@ from gelgap.data.formats.export import export
 from gelgap.data.formats.pictures import mismatch
 from gelgap.data.frames.folders import domain_folders
 from gelgap.data.inspection import frame_notes, inspect_domain, write_overview
+from gelgap.domains.gap import gap_rows
 
 
 def test_the_facts_are_those_of_the_data(data: Path):
@@ -74,7 +75,8 @@ def test_missing_and_unknown_files_are_found(data: Path, tmp_path: Path):
 
 
 def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path: Path):
-    page = write_overview(data / "mb0i0", tmp_path / "page.html", other=data / "mb0i1").read_text()
+    gap = {"base": "mb0i1", "rows": gap_rows(open_domain(data / "mb0i0"), open_domain(data / "mb0i1"))}
+    page = write_overview(data / "mb0i0", tmp_path / "page.html", gap).read_text()
     titles = re.findall("<h2>(.*?)</h2>", page)
     assert titles == ["Counts", "Labels and contacts", "Samples", "Frames left out", "Gap", "Provenance"]
     assert not re.search(r"(src|href)=['\"](?!data:)", page)

@@ -1,27 +1,9 @@
-"""A small domain, really solved and rendered once a session; its solves stay in a cache of the session's own."""
+"""Solves are coarse, and stay in a cache of the session's own."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import get_args
+from collections.abc import Iterator
 
 import pytest
-from quick_solves import coarsen, shrink_libraries
-
-from gelgap.data.formats.optional_columns import OptionalColumn
-from gelgap.domains.generation.generate import GenerationReport, generate
-from gelgap.sim import ContactPath
-
-# One shallow level and one radius: a single cheap solve serves all 26 frames.
-TINY = ContactPath(
-    name="tiny",
-    points_x_mm=(-0.75, 0.75),
-    points_y_mm=(0.0,),
-    depths_mm=(0.2,),
-    radii_mm=(0.1,),
-    angles_deg=tuple(30.0 * k for k in range(12)),
-)
-SETTINGS = {"quality": "draft", "render_quality": "draft", "size_px": (80, 60)}
-EVERY_COLUMN = get_args(OptionalColumn)
+from quick_solves import coarsen
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -35,39 +17,4 @@ def solve_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def quick_solves() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         coarsen(patch)
-        yield
-
-
-@pytest.fixture
-def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four shards a domain."""
-    monkeypatch.setattr("gelgap.domains.generation.plan.FRAMES_PER_SHARD", 8)
-
-
-@pytest.fixture(scope="session")
-def make() -> Callable[..., GenerationReport]:
-    """Generate domains on the tiny path in this process."""
-
-    def generate_tiny(out: Path, domains: tuple[str, ...] = ("mb0i0",), **changes) -> GenerationReport:
-        with pytest.MonkeyPatch.context() as patch:  # the session's data are made before a module's fixtures
-            coarsen(patch)
-            return generate(domains, TINY, out, **{"scheduler": "synchronous", **SETTINGS, **changes})
-
-    return generate_tiny
-
-
-@pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory, make: Callable[..., GenerationReport]) -> Path:
-    """A folder with mb0i0 (every optional column), wmb0i0 (inpainted) and mb0i1; not to be changed."""
-    out = tmp_path_factory.mktemp("data")
-    make(out, columns=EVERY_COLUMN)
-    make(out, ("wmb0i0", "mb0i1"))
-    return out
-
-
-@pytest.fixture(scope="module")
-def few_solves() -> Iterator[None]:
-    """Libraries of few poses."""
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_libraries(patch)
         yield

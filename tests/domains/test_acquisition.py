@@ -6,7 +6,7 @@ import pytest
 from gelgap.data.frames.folders import open_domain
 from gelgap.data.frames.splits import paired_contacts
 from gelgap.domains.generation.shard import trajectories
-from gelgap.domains.recipe import AcquisitionError, make_recipes
+from gelgap.domains.recipe import AcquisitionError, make_recipes, recipe_of
 from gelgap.sim import ContactPath
 
 
@@ -69,7 +69,7 @@ def test_force_noise_and_bias_change_labels_and_nothing_else(make, data: Path, t
     clean, noisy = open_domain(data / "mb0i1"), open_domain(tmp_path / "mb0i1")
     assert all(np.array_equal(clean.picture(index), noisy.picture(index)) for index in range(26))
     error = noisy.force_n - clean.force_n
-    bias = noisy.recipe.drawn_errors().force_bias_n
+    bias = recipe_of(noisy).drawn_errors().force_bias_n
     assert error.mean(axis=0) == pytest.approx(bias, abs=0.01)
     assert error.std(axis=0) == pytest.approx([0.01] * 3, rel=0.5)
     assert len(paired_contacts(clean, noisy)[0]) == 26

@@ -17,6 +17,7 @@ from gelgap.data.frames.folders import open_domain
 from gelgap.data.frames.splits import split_frames
 from gelgap.domains.generation import cluster
 from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
+from gelgap.domains.recipe import recipe_of
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Pose, PosePath
 from gelgap.sim.plan import SolvePlan
@@ -276,7 +277,7 @@ def test_membranes_reach_as_far_as_is_seen(finished: Path, tmp_path: Path, monke
 
     rendered, reach_mm = MembraneRenderer.picture, {}
     monkeypatch.setattr(MembraneRenderer, "picture", picture)
-    near = open_domain(finished / "mb0i0").recipe
+    near = recipe_of(open_domain(finished / "mb0i0"))
     far = near.model_copy(update={"name": "far", "sensor": Sensor.preset("gelsight-2014-like")})
     generate_recipes([near, far], tmp_path, scheduler="synchronous")
     assert list(reach_mm.values()) == [(7.0, 5.5), (9.0, 7.0)]

@@ -11,6 +11,7 @@ import pytest
 from gelgap.data import open_domain, split_frames
 from gelgap.data.formats.shards import OPTIONAL
 from gelgap.domains import DomainRecipe, generate_recipes, make_recipes, preset_recipes
+from gelgap.domains.generation.columns import LABEL_MAKERS
 from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.render.normal_table import BallResidual

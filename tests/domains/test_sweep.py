@@ -3,9 +3,11 @@ from pathlib import Path
 
 import pytest
 
+from gelgap.data.facts import unseen_differences
+from gelgap.domains.gap import domain_gap
 from gelgap.domains.generation.plan import plan_generation
-from gelgap.domains.recipe import make_recipes
-from gelgap.domains.sweep import Sweep, domain_gap, sweep_variants, unseen_differences, write_sweep
+from gelgap.domains.recipe import facts_of, make_recipes
+from gelgap.domains.sweep import Sweep, sweep_variants, write_sweep
 from gelgap.render import Markers, Sensor
 
 
@@ -120,7 +122,8 @@ def test_the_gap_says_how_markers_differ():
         own = sensor.model_copy(update={"markers": markers})
         (other,) = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), sensor=own)
         assert domain_gap(base, other).markers == expected
-        said = any("no markers" in note for note in unseen_differences(base, other))
+        notes = unseen_differences("base", facts_of(base), "other", facts_of(other))
+        said = any("no markers" in note for note in notes)
         assert said == (expected == "removed")
 
 

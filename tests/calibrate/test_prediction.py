@@ -5,15 +5,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.domains.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
 
+from gelgap.calibrate import prediction
 from gelgap.calibrate.prediction import predict_presses
 from gelgap.cli.main import main
-from gelgap.domains import press_prediction
 from gelgap.render import Markers, MembraneRenderer, Sensor, save_sensor
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Pose, load_indenter, solve_pose
+from tests.calibrate.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
 
 PLACES_MM = ((0.0, 0.0), (3.0, 1.5))
 BALL = f"[[presses]]\nsphere_diameter_mm = {BALL_MM}\n"
@@ -30,7 +30,7 @@ def renderer() -> MembraneRenderer:
 def sensor(tmp_path: Path, renderer: MembraneRenderer, monkeypatch: pytest.MonkeyPatch) -> Sensor:
     """A sensor with a flat field, saved as `fitted.toml`, beside its picture without contact."""
     monkeypatch.setattr(
-        press_prediction, "sphere_profiles", lambda diameters, **_: profiles(diameters) if diameters else {}
+        prediction, "sphere_profiles", lambda diameters, **_: profiles(diameters) if diameters else {}
     )
     cv2.imwrite(str(tmp_path / "ref.png"), renderer.reference()[..., ::-1])
     path = tmp_path / "fitted-flat-field.npz"
@@ -90,7 +90,7 @@ def test_another_body_is_solved_where_it_is_and_as_it_is_turned(
     tmp_path: Path, renderer: MembraneRenderer, sensor: Sensor, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "body.toml").write_text('shape = "cylinder"\ndiameter_mm = 3.0\nedge_radius_mm = 0.4\n')
-    gel, body = press_prediction.CALIBRATION_GEL, load_indenter(str(tmp_path / "body.toml"))
+    gel, body = prediction.CALIBRATION_GEL, load_indenter(str(tmp_path / "body.toml"))
     state = solve_pose(gel, body, Pose(0.3, point_x_mm=1.0), "draft")
     picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
     cv2.imwrite(str(tmp_path / "a.png"), picture[..., ::-1])

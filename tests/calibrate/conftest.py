@@ -1,0 +1,3 @@
+"""A closed-form dent, and renderers that tests share."""
+
+from closed_form_dent import dent, renderer  # noqa: F401
