@@ -1,4 +1,3 @@
-from .data import split_for_training as split_for_training
 from .evaluation import evaluate as evaluate
 from .few_labels import affine_correction as affine_correction
 from .few_labels import draw_labelled as draw_labelled
@@ -30,5 +29,6 @@ from .run_record import load_predictions as load_predictions
 from .run_record import load_run as load_run
 from .run_record import load_runs as load_runs
 from .runs import adapt_folders as adapt_folders
+from .split import split_for_training as split_for_training
 from .trainer import adapt as adapt
 from .trainer import train_source as train_source

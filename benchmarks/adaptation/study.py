@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ForceModel, Profile, split_for_training
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import METHODS_VERSION, Group, Stage1, versions
+from gelgap.adapt.split import SplitFrames
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board

@@ -168,20 +168,16 @@ class PictureFiles(StoredFrames):
 
 
 def _camera_of(file: Path, width_px: int) -> Pinhole:
-    """Return the geometry of a sensor file's camera, or of one with the file's `mm_per_px`."""
+    """Return the camera's geometry in a sensor file, or one with the file's `mm_per_px`."""
     values = read_toml(file)
     with named_in_errors(file):
-        if set(values) == {"mm_per_px"}:
-            if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
-                raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
-            return Pinhole.showing(width_px * scale)
-        camera = values.get("camera")
-        if not isinstance(camera, dict):
-            raise ValueError(
-                "no table [camera]: a sensor file of `gelgap calibrate`, or the one line mm_per_px = 0.05, is needed"
-            )
-        # Its other fields say how a renderer draws, which nothing here needs.
-        return Pinhole(**{name: camera[name] for name in Pinhole.model_fields if name in camera})
+        if set(values) != {"mm_per_px"}:
+            if "camera" not in values:
+                raise ValueError("it has neither mm_per_px alone nor a sensor's table [camera]")
+            return Pinhole.of_camera(values["camera"])
+        if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
+            raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
+        return Pinhole.showing(width_px * scale)
 
 
 def _is_published(folder: Path) -> bool:

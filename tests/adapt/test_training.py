@@ -17,7 +17,6 @@ from gelgap.adapt.data import (
     epoch_order,
     network_inputs,
     normalised_labels,
-    split_for_training,
     steps_per_epoch,
 )
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
@@ -29,6 +28,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
+from gelgap.adapt.split import split_for_training
 from gelgap.adapt.trainer import adapt, batches_of, train_source, untrained
 from gelgap.data import ArrayFrames, join_domains
 
