@@ -30,6 +30,7 @@ from gelgap.calibrate.poses import (
     start_pose,
 )
 from gelgap.calibrate.profiles import PressProfiles
+from gelgap.calibrate.residual import holds_for, residual_around
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.render.flat_field import load_maps
 from gelgap.render.imaging import psnr_db, srgb_encode
@@ -183,11 +184,11 @@ def _of_ball(
     half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
     membrane = profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm))
     radius_mm, left = profiles.contact_radius_mm(pose[2]), None
-    if residual is not None and residual.holds_for(press.sphere_diameter_mm, radius_mm):
+    if residual is not None and holds_for(residual, press.sphere_diameter_mm, radius_mm):
         plane_mm, camera_mm = camera.plane_of_picture_mm(size_px), np.array(camera.position_mm)
         seen = SeenPoints.pressed(plane_mm, np.zeros(len(plane_mm), int), pose[None], [profiles], camera_mm)
         contact = np.array([*pose[:2] / (camera.footprint_mm(size_px)[0] / 2), radius_mm])
-        left = residual.around((seen.positions[:, :2] - pose[:2]) / radius_mm, contact)
+        left = residual_around(residual, (seen.positions[:, :2] - pose[:2]) / radius_mm, contact)
     return membrane, radii_away(untouched, center_px, radius_px) < 1, left
 
 
