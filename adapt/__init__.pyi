@@ -14,7 +14,6 @@ from .methods.base import MethodSettings as MethodSettings
 from .methods.base import Step as Step
 from .methods.base import TransferLoss as TransferLoss
 from .methods.registry import method_names as method_names
-from .methods.registry import register as register
 from .model import ForceModel as ForceModel
 from .model import with_statistics_of as with_statistics_of
 from .onnx_file import export_onnx as export_onnx

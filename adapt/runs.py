@@ -79,7 +79,7 @@ def adapt_folders(
         Domains that are open, or folders that `gelgap.data.open_domain` reads; several source folders are trained on
         together, several targets are adapted to one by one.
     methods
-        Their names, or `module:Class` or `file.py:Class` of your own.
+        Their names, or `FILE.py:CLASS` of your own.
     profile
         One or several, by name, file or as settings. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from gelgap import adapt, data
-from gelgap.assets.names import quoted, unknown_name
+from gelgap.assets.names import quoted
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 from gelgap.cli.keys import Meanings, Set, given, profile_keys
@@ -17,12 +17,12 @@ SELECTION = "selection.csv"
 
 def check_methods(names: tuple[str, ...]) -> None:
     """Check names of methods, one at least, before torch is loaded; classes of one's own are checked later."""
-    known = adapt.method_names()
+    from gelgap.adapt.methods.registry import check_name
+
     if not names:
-        raise ValueError(f"name at least one; known: {', '.join(known)}")
+        raise ValueError(f"name at least one; known: {', '.join(adapt.method_names())}")
     for name in names:
-        if ":" not in name and name not in known:
-            raise ValueError(unknown_name("method", name, (*known, "FILE.py:CLASS")))
+        check_name(name)
 
 
 def check_selector(name: str) -> None:
@@ -68,7 +68,7 @@ class Adapt(opt.Command):
     target: tuple[Path, ...]
     """Folder of the target domain, which may hold pictures alone; or several that are adapted to one by one."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
-    """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
+    """Adaptation methods, or your own as FILE.py:CLASS; a wrong name lists the known ones."""
     profile: tuple[opt.ProfileName, ...] = ("smoke",)
     set: Set = ()
     """Values that differ from the profile's, such as input=calibrated or backbone=resnet50; all keys are listed above.

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from documented import FENCE, ROOT, page_text
 
-from gelgap.adapt.methods.registry import ENTRY_POINTS
 from gelgap.cli.main import COMMANDS, main
 
 PAGES = (
@@ -87,9 +86,7 @@ def flags_of(command: str) -> set[str]:
 
 
 def exists(name: str) -> bool:
-    """Whether a dotted name is something of gelgap, or the group of its entry points."""
-    if name == ENTRY_POINTS:
-        return True
+    """Whether a dotted name is something of gelgap."""
     try:
         pkgutil.resolve_name(name)
     except (ImportError, AttributeError):

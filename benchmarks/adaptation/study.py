@@ -66,8 +66,8 @@ def grid(
 class Study:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be places of one's own,
-    `module:Class` or `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run
+    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be classes of one's
+    own, `FILE.py:CLASS`. `workers` are processes, by default one per core; one means this process. No run
     is begun after `stop`, a time of `time.time`.
     """
 
