@@ -38,7 +38,7 @@ class Demo(opt.Command):
         from gelgap.adapt.report import axis_table, error_table
         from gelgap.data import open_domain
         from gelgap.data.inspection import write_overview
-        from gelgap.domains.gap import gap_rows
+        from gelgap.domains.measured_gap import gap_rows
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
         data, runs_dir = self.out / "data", self.out / "runs"

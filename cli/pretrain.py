@@ -9,6 +9,7 @@ import tyro
 from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
+from gelgap.cli.generation import LOCALLY, GenerationOptions
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Pretrain(opt.Command):
     stream: opt.Flag = False
     """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and four new
     lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = LOCALLY
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""

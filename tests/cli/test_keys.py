@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from gelgap.cli.adapt import profile_keys
+from gelgap.cli.contact_keys import body_keys, gel_keys
 from gelgap.cli.generate import Generate
-from gelgap.cli.keys import body_keys, gel_keys, given, profile_keys
+from gelgap.cli.keys import given
 from gelgap.cli.main import main
 from gelgap.sim import Box, Elastomer, load_indenter
 from gelgap.sim.shapes import BODIES, fields_of
