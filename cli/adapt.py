@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 from gelgap import adapt
@@ -57,6 +58,12 @@ class Adapt(opt.Command):
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=standardised --out std-runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
     """
+
+    former = MappingProxyType(
+        {
+            "--backbone": opt.Former("0.3.0", "write --set backbone=…"),
+        }
+    )
 
     when_stopped = "finished runs and epochs are kept, run the same command again to go on"
 

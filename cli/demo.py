@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 from gelgap import adapt, domains
@@ -26,6 +27,12 @@ class Demo(opt.Command):
     For example:
       gelgap demo
     """
+
+    former = MappingProxyType(
+        {
+            "--workers": opt.Former("0.3.0", "there is one process a core"),
+        }
+    )
 
     when_stopped = "finished shards, solves, runs and epochs are kept, run the same command again to go on"
     fills_cache = True

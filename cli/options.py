@@ -2,11 +2,11 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import FunctionType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from types import FunctionType, MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -22,12 +22,33 @@ before its work need none here.
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
 
+class Former(NamedTuple):
+    """The last version that took an option, or a value of one, and what there is instead."""
+
+    version: str
+    instead: str
+
+
+def removed(words: Sequence[str], former: Mapping[str, Former]) -> str:
+    """Return a sentence on the first option among words that former versions alone took; else nothing."""
+    for number, word in enumerate(words):
+        option, _, value = word.partition("=")
+        value = value or next(iter(words[number + 1 :]), "")
+        for taken in (option, f"{option} {value}"):
+            if taken in former:
+                version, instead = former[taken]
+                return f"gelgap {version} was the last with {taken}: {instead}"
+    return ""
+
+
 class Command:
     """What the command line parses to: a frozen dataclass whose fields are its options."""
 
     when_stopped = "only solved physics is sure to be kept; run the same command again to start over"
     """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
+    former: ClassVar[Mapping[str, Former]] = MappingProxyType({})
+    """What former versions took and this one does not: options, and values as `--option value`."""
 
     @classmethod
     def keys(cls) -> dict[str, Meanings]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 import tyro
@@ -24,6 +25,12 @@ class Pretrain(opt.Command):
       gelgap pretrain --domains 60 --frames 60 --out pretrained --dry-run
       gelgap pretrain --domains 60 --frames 60 --stream --out streamed
     """
+
+    former = MappingProxyType(
+        {
+            "--without": opt.Former("0.3.0", "every kind of frame is drawn"),
+        }
+    )
 
     when_stopped = "finished shards, solves and epochs are kept, run the same command again to go on"
     fills_cache = True
