@@ -276,7 +276,7 @@ def turn_dents(batch: Batch, labels: Labels, rng: np.random.Generator) -> Batch:
     """Turn inputs (B, C, h, w) about their centre, each by an angle of its own, forces and torques with them.
 
     A dent that is turned is a dent under lamps elsewhere: a network must read forces from what all lights share. That
-    takes R² of shear in another light from 0.6 to 0.96 (docs/results/README.md). Beyond the edge nothing has changed.
+    takes R² of shear in another light from 0.6 to 0.96 (docs/results/light.md). Beyond the edge nothing has changed.
     """
     angle = torch.from_numpy(rng.uniform(0, 2 * np.pi, len(batch.inputs))).to(batch.inputs)
     cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)

@@ -63,7 +63,7 @@ def in_drawn_lights(
         Without it the first `LIGHTS` are taken as they are drawn.
     kinds
         Lights around which is drawn; by default the presets of `KINDS`. Where the sensor's is of none of these kinds,
-        no shear was read (docs/results/README.md).
+        no shear was read (docs/results/adapt-or-randomise.md).
 
     Raises
     ------

@@ -472,7 +472,7 @@ def test_a_wrong_setting_of_a_method_is_an_error_before_any_work(source, target,
             adapt_folders(source, target, ["source-only", "daregram"], wrong, progress=pytest.fail)
 
 
-@pytest.mark.parametrize("name", ["smoke", "cpu", "board", "paper"])
+@pytest.mark.parametrize("name", ["smoke", "cpu", "benchmark", "paper"])
 def test_presets(name):
     profile = Profile.preset(name)
     assert profile.name == name
@@ -481,7 +481,7 @@ def test_presets(name):
 
 def test_bad_profiles():
     with pytest.raises(
-        ValueError, match=r"profile preset 'big' is unknown; known presets: board, cpu, paper, smoke"
+        ValueError, match=r"profile preset 'big' is unknown; known presets: benchmark, cpu, paper, smoke"
     ):
         Profile.preset("big")
     with pytest.raises(ValueError, match="add up to 1"):
