@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gelgap.adapt.result_table import write_pages
+from gelgap.adapt.result_table import write_page
 from gelgap.benchmarks.adaptation import groups, inputs_and_lights, leaderboard
 from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Part, Study, is_benchmark
 
@@ -43,7 +43,7 @@ def measure(name: str, study: Study) -> None:
 
 
 def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
-    """Write adaptation.md, .tex and .html of all parts that were run; return the HTML's path.
+    """Write adaptation.html of all parts that were run; return its path.
 
     Raises
     ------
@@ -57,4 +57,4 @@ def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
         )
     tables = [table for part in PARTS.values() for table in part.tables(folder)]
     title = f"Adaptation benchmark, profile {folder.name}"
-    return write_pages(out_dir or folder, "adaptation", title, tables, [])
+    return write_page((out_dir or folder) / "adaptation.html", title, tables)

@@ -29,7 +29,7 @@ from gelgap.data import LabelledFrames, join_domains, open_domain
 from gelgap.data.frames.stored import GeneratedDomain
 from gelgap.domains import DomainRecipe, generate_recipes
 
-RUNS, BOARD = "runs.jsonl", "board"
+RUNS, BOARD = "runs.jsonl", "benchmark"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
 _RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
 

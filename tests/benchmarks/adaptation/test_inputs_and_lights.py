@@ -21,13 +21,13 @@ def test_every_input_is_run_where_it_can_be_shown():
     shown_on = {own: {name for target, name in shown if target == own} for own in ("mb1i1", "wmb0i0")}
     assert shown_on == {"mb1i1": set(BOARD_INPUTS), "wmb0i0": set(BOARD_INPUTS) - {"markers"}}
     assert set(INPUTS) - set(BOARD_INPUTS) == {"pretrained"}
-    study = Study(Path(), Path(), "board")
+    study = Study(Path(), Path(), "benchmark")
     assert {study.profile_of(run).input for run in runs} == set(BOARD_INPUTS)
     (chosen,) = inputs_and_lights.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
     with pytest.raises(ValueError, match="--inputs markers: no chosen group has markers on both sides"):
         inputs_and_lights.INPUT_PART.measure(
-            Study(Path(), Path(), "board", groups=(("wmb0i0", "wmb0i1"),), inputs=("markers",))
+            Study(Path(), Path(), "benchmark", groups=(("wmb0i0", "wmb0i1"),), inputs=("markers",))
         )
 
 
@@ -40,7 +40,7 @@ def test_every_input_is_run_where_it_can_be_shown():
             {"dann / calibrated": "62 %", "adabn / any light": "44 %", "adabn / like the target's": "86 %"},
         ),
         (
-            "board",
+            "benchmark",
             inputs_and_lights.INPUT_PART,
             {"adabn / pictures": "44 %", "dann / calibrated": "75 %", "source-only / calibrated": "65 %"},
         ),

@@ -8,7 +8,6 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -143,7 +142,7 @@ def test_touches_are_shown_and_not_judged(source, target, monkeypatch, tmp_path)
 )
 def test_a_choice_that_a_part_does_not_follow_is_refused(part, choice, takes, tmp_path):
     with pytest.raises(ValueError, match=takes):
-        measure(part, Study.at(tmp_path / "board", **choice))
+        measure(part, Study.at(tmp_path / "benchmark", **choice))
     assert not list(tmp_path.iterdir())
 
 
@@ -182,8 +181,4 @@ def test_report_of_all_parts(tmp_path):
     write_runs(folder / INPUT_RUNS, [record(GROUPS[0], "dsan", 0.2, data=DATA)])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert "What inputs are worth" in page
-    text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
-    for expected in ("Kendall's τ", "What inputs are worth"):
-        assert expected in text
-    latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
-    assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))
+    assert "Kendall&#39;s τ" in page
