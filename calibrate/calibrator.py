@@ -16,12 +16,13 @@ from gelgap.calibrate.light import Bars, Light, gain_of
 from gelgap.calibrate.pictures import PressPicture, check_presses
 from gelgap.calibrate.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.calibrate.profiles import PressProfiles
+from gelgap.calibrate.residual import residual_around
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
-from gelgap.render.normal_table import BallResidual, NormalTable
+from gelgap.render.normal_table import NormalTable
 from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.sensor import Markers, Sensor, save_sensor
+from gelgap.render.sensor import BallResidual, Markers, Sensor, save_sensor
 
 Membranes = Callable[[set[float], float | None], Mapping[float, PressProfiles]]
 FEWEST_PRESSES = 6
@@ -353,7 +354,7 @@ class _Drawn:
         light, table, away, contact = pictures
         code = light + share * (table - light)
         if self.residual is not None:
-            code = code + self.residual.around(away, contact).reshape(code.shape)
+            code = code + residual_around(self.residual, away, contact).reshape(code.shape)
         return np.clip(np.round(code), 0, 255).astype(np.uint8)
 
     def levels(self, shares: Sequence[float]) -> list[tuple[float, float]]:

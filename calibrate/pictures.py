@@ -16,8 +16,7 @@ from gelgap.assets.image_file import read_image
 from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings, within
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.render.camera import Camera
-from gelgap.render.imaging import srgb_decode
+from gelgap.render.imaging import Camera, srgb_decode
 from gelgap.render.light.scattered import monomials
 
 DARK, SATURATED = 4, 250  # codes at and beyond which a value is not used

@@ -20,9 +20,8 @@ from gelgap.calibrate.pictures import (
 )
 from gelgap.calibrate.profiles import PressProfiles
 from gelgap.data.inpainting import detect_markers, inpaint_telea
-from gelgap.render.camera import Camera
 from gelgap.render.flat_field import map_dots
-from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
+from gelgap.render.imaging import Camera, psnr_db, srgb_decode, srgb_encode
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)

@@ -17,7 +17,7 @@ from pydantic import Field, field_serializer, model_validator
 from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.settings import Settings
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 from gelgap.render.light.scattered import EVERYWHERE, PLACES, Scale, Span, places
 from gelgap.render.surface import Surface
 

@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 from gelgap.render.surface import Lattice
 
 PLATFORMS = ("osmesa", "egl")

@@ -17,7 +17,10 @@ PAGES = (
     "CONTRIBUTING.md",
     *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")),
 )
-ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
+ROOMS = (
+    "sim|render|data/frames|data/formats|domains|calibrate|view|adapt|benchmarks|assets"
+    "|cli|tests|examples|scripts|docs"
+)
 
 
 OF_ANOTHER_COMMIT = re.compile(

@@ -8,8 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
-ROOMS = ("sim", "render", "domains", "view", "adapt")
+ROOMS = ("sim", "render", "data", "domains", "view", "adapt")
 
 
 def names_in_stub(room: str) -> list[str]:
@@ -42,6 +44,12 @@ def test_names_of_stub_guide_and_module_are_the_same_and_described() -> None:
         assert set(module.__all__) == set(listed) == rows.keys()
         assert [name for name in listed if not is_described(getattr(module, name))] == []
         assert [name for name, what in rows.items() if not what.strip()] == []
+
+
+@pytest.mark.parametrize(("room", "name"), [("domains", "open_domain"), ("render", "detect_markers")])
+def test_a_name_that_moved_says_where_it_is(room: str, name: str) -> None:
+    with pytest.raises(ImportError, match=rf"gelgap.{room}.{name} is gelgap.data.{name} since gelgap 0.4.0"):
+        getattr(import_module(f"gelgap.{room}"), name)
 
 
 def is_described(thing: object) -> bool:

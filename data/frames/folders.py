@@ -18,6 +18,7 @@ from gelgap.assets.names import comma_list, stays_inside
 from gelgap.assets.pinhole import Pinhole
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.data.formats.domain_folder import MANIFEST
+from gelgap.data.formats.pictures import REFERENCE_STEMS
 from gelgap.data.frames.dataset import CONTACT_CLASSES, LabelledFrames
 from gelgap.data.frames.joined import join_domains
 from gelgap.data.frames.labels import FORCE_COLUMNS, PAPER_RANGES, Labels, covering
@@ -33,8 +34,6 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
-"""What pictures without contact are called."""
 REFERENCES = "references"
 IMAGES = "images"
 TABLES = (".csv", ".tsv")

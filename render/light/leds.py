@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.names import one_line
 from gelgap.assets.settings import PresetSettings, Settings
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 from gelgap.render.light.scattered import Scattered
 from gelgap.render.light.spectra import Spectrum, camera_rgb
 from gelgap.render.surface import Lattice
