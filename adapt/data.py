@@ -14,14 +14,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import FITTED, INPUTS, Found, InputMap, mapped
+from gelgap.adapt.inputs import FITTED, INPUTS, Fit, Found, InputMap, mapped
 from gelgap.adapt.profile import Profile
 from gelgap.data import LabelledFrames, Labels
 from gelgap.data.frames.first_touch import STEP, trajectory_of
 from gelgap.data.frames.paired_frames import PairedFrames
 
 # Labels that turn with a picture, and those that no part of a picture shows.
-_TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
+_TURNING = ("fx_n", "fy_n"), ("mx_nmm", "my_nmm")
+_PLACE = "x_mm", "y_mm"
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
 
@@ -80,7 +81,8 @@ def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
 
     Before a trajectory its first frame is repeated: no window crosses from one into another.
     """
-    trajectory, n = trajectory_of(frames), np.arange(len(frames))
+    trajectory = trajectory_of(frames)
+    n = np.arange(len(frames))
     order = np.lexsort([frames.columns[STEP], trajectory])
     begins = np.append(True, np.diff(trajectory[order]) != 0)
     first = np.maximum.accumulate(np.where(begins, n, 0))
@@ -117,8 +119,8 @@ class NetworkInputs:
         """Return inputs (B, C, h, w) float32 of these frames; the frames of a sequence along C, the oldest first."""
         if self.windows is None:
             return self._of_frames(rows)
-        own = self.windows[torch.as_tensor(rows, device=self.windows.device)]
-        sequences = self._of_frames(own.flatten()).unflatten(0, own.shape).flatten(1, 2)
+        windows = self.windows[torch.as_tensor(rows, device=self.windows.device)]
+        sequences = self._of_frames(windows.flatten()).unflatten(0, windows.shape).flatten(1, 2)
         return sequences.contiguous(memory_format=torch.channels_last)
 
     def _of_frames(self, rows: np.ndarray | Tensor) -> Tensor:
@@ -143,28 +145,32 @@ def network_inputs(
     Where its input has a map for each domain, it is the given one, or else that of these frames. Of joined data sets
     each has its own, by all of its pictures: 0.040 N for 0.051 N in eight lights. Without `markers` they are inpainted.
     """
-    shown, windows = INPUTS[profile.input], None
+    shown = INPUTS[profile.input]
+    windows = None
     if profile.sequence_length > 1:
         windows = torch.from_numpy(windows_of(frames, profile.sequence_length)).to(device)
     if shown.find is not None:
-        found = Found(shown, frames, profile.image_size_px, profile.marker_span_mm, device)
-        return NetworkInputs(found, windows=windows)
+        fields = Found(shown.find, frames, profile.image_size_px, profile.marker_span_mm, device)
+        return NetworkInputs(fields, windows=windows)
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures, windows=windows)
-    if input_map is not None or profile.input not in FITTED or not frames.owners:
-        return NetworkInputs(pictures, input_map or _map_of(frames, profile, pictures), windows)
+    if input_map is not None:
+        return NetworkInputs(pictures, input_map, windows)
+    if profile.input not in FITTED or not frames.owners:
+        return NetworkInputs(pictures, _fitted(shown.fit, frames, profile, pictures), windows)
     maps = {}
-    for own in set(frames.owners):
-        maps[own] = _map_of(own, profile, own.torch(profile.image_size_px, profile.pairing, device))
+    for owner in set(frames.owners):
+        of_owner = owner.torch(profile.image_size_px, profile.pairing, device)
+        maps[owner] = _fitted(shown.fit, owner, profile, of_owner)
     each = [maps[frames.owners[number]] for number in frames.reference_id]
     of_frames = tuple(torch.tensor(values, device=device) for values in zip(*each, strict=True))
     return NetworkInputs(pictures, None, windows, of_frames)
 
 
-def _map_of(frames: LabelledFrames, profile: Profile, pictures: PairedFrames) -> InputMap:
+def _fitted(fit: Fit, frames: LabelledFrames, profile: Profile, pictures: PairedFrames) -> InputMap:
     try:
-        return INPUTS[profile.input].fit(pictures)
+        return fit(pictures)
     except ValueError as error:
         raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
 
@@ -222,8 +228,10 @@ class TrainingDomain:
         self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:
             self.without_markers = network_inputs(frames, profile, device, self.pictures.map, markers=False)
-        self.device, self.labels = device, frames.labels
-        self.force = self.contact_class = None
+        self.device = device
+        self.labels = frames.labels
+        self.force: Tensor | None = None
+        self.contact_class: Tensor | None = None
         if labelled:
             self.force = torch.from_numpy(normalised_labels(frames)).to(device)
             self.contact_class = torch.from_numpy(frames.contact_class.astype(np.int64)).to(device)
@@ -231,8 +239,11 @@ class TrainingDomain:
     def batch(self, indices: np.ndarray, hidden: bool) -> Batch:
         """Return a batch of these frames (B,), their markers `hidden` or not."""
         rows = torch.from_numpy(indices).to(self.device)
-        inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
-        if self.force is None:
+        pictures = self.pictures
+        if hidden and self.without_markers is not None:
+            pictures = self.without_markers
+        inputs = pictures.inputs(rows)
+        if self.force is None or self.contact_class is None:
             return Batch(inputs, None, None)
         return Batch(inputs, self.force[rows], self.contact_class[rows])
 
@@ -279,7 +290,9 @@ def turn_dents(batch: Batch, labels: Labels, rng: np.random.Generator) -> Batch:
     takes R² of shear in another light from 0.6 to 0.96 (docs/results/light.md). Beyond the edge nothing has changed.
     """
     angle = torch.from_numpy(rng.uniform(0, 2 * np.pi, len(batch.inputs))).to(batch.inputs)
-    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    cos = angle.cos()
+    sin = angle.sin()
+    zero = torch.zeros_like(angle)
     height, width = batch.inputs.shape[2:]
     # Of the place that is shown at a pixel; either axis runs from −1 to 1.
     rows = (cos, sin * height / width, zero), (-sin * width / height, cos, zero)

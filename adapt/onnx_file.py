@@ -31,10 +31,12 @@ class PictureToLabels(nn.Module):
     def __init__(self, model: ForceModel) -> None:
         super().__init__()
         self.network = copy.deepcopy(model.network).cpu()
-        self.pairing, self.map = model.profile.pairing, model.own_map
+        self.pairing = model.profile.pairing
+        self.map = model.own_map
         low, high = model.labels.low, model.labels.high
         gain, offset = model.correction or (np.ones(len(low)), np.zeros(len(low)))
-        scale, start = np.multiply(gain, high - low), np.multiply(gain, low) + offset
+        scale = np.multiply(gain, high - low)
+        start = np.multiply(gain, low) + offset
         self.scale, self.start = (torch.tensor(values, dtype=torch.float32) for values in (scale, start))
 
     def forward(self, picture: Tensor, reference: Tensor) -> tuple[Tensor, ...]:
@@ -128,5 +130,6 @@ def _difference(whole: PictureToLabels, path: Path, pictures: Tensor) -> float:
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     inputs = pictures, pictures.flip(0)
     given = dict(zip(("picture", "reference"), (image.numpy() for image in inputs), strict=True))
-    found, wanted = np.stack(session.run(None, given)), torch.stack(whole(*inputs)).numpy()
-    return float((np.abs(found - wanted) / whole.scale.abs().numpy()[:, None]).max())
+    predicted = np.stack(session.run(None, given))
+    expected = torch.stack(whole(*inputs)).numpy()
+    return float((np.abs(predicted - expected) / whole.scale.abs().numpy()[:, None]).max())

@@ -173,6 +173,7 @@ class Profile(PresetSettings):
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         base = values.pop("base", None)
         start = {} if base is None else cls.preset(base).model_dump()
-        if ":" in (own := str(values.get("backbone", ""))):
-            values["backbone"] = use_backbone(str(folder / own) if ".py:" in own else own)
+        backbone = str(values.get("backbone", ""))
+        if ":" in backbone:
+            values["backbone"] = use_backbone(str(folder / backbone) if ".py:" in backbone else backbone)
         return super()._of_table(start | {"name": name} | values, name, folder)

@@ -103,9 +103,10 @@ def split_for_training(
         _check_wholly_labelled(target, names)
     # Drawn anew for each, the parts of both differ.
     differ = profile.split_by in ("random", "given") and (len(source.members) > 1 or not is_labelled.all())
-    if differ and target.digest in [own.digest for own in source.members]:
+    if differ and target.digest in [member.digest for member in source.members]:
         raise ValueError(f"target {target.name} is a source too: split_by must be point or a column")
-    source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
+    source_train = labelled.take(split.source_train)
+    target_train = target.take(split.target_train)
     if len(target_train) < 2:
         raise ValueError(
             f"target {target.name}: {len(target_train)} of {len(target)} pictures would be trained on; adaptation "
@@ -170,8 +171,13 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         for name, w0, h0 in sizes
         if has_other_aspect((w0, h0), (w1, h1))
     ]
-    few = [own for own in (*source.members, target) if profile.input in FITTED and len(own) < FEW_TO_FIT]
-    notes += [f"input {profile.input}: a map by {len(own)} pictures of {own.name} hardly fits" for own in few]
+    few = [
+        domain for domain in (*source.members, target) if profile.input in FITTED and len(domain) < FEW_TO_FIT
+    ]
+    notes += [
+        f"input {profile.input}: a map by {len(domain)} pictures of {domain.name} hardly fits"
+        for domain in few
+    ]
     if profile.input == "calibrated" and profile.colour_mixing:
         notes.append("input calibrated: colour_mixing turns slopes as if they were colours; set it to 0")
     if profile.input == "markers":
@@ -182,7 +188,8 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
 def _span_notes(frames: LabelledFrames, profile: Profile) -> Iterator[str]:
     if (camera := frames.cameras[0]) is None:
         return
-    span_mm, view_mm = profile.marker_span_mm, camera.footprint_mm(frames.size_px)
+    span_mm = profile.marker_span_mm
+    view_mm = camera.footprint_mm(frames.size_px)
     if min(np.divide(span_mm, view_mm)) < LEAST_SPAN:
         yield (
             f"input markers shows {span_mm[0]:g}×{span_mm[1]:g} mm of {frames.name} (marker_span_mm), whose pictures "
@@ -230,6 +237,7 @@ def check_trajectories(
 
 def _check_wholly_labelled(frames: LabelledFrames, names: Sequence[str]) -> None:
     """Check that frames of a trajectory have these labels all or none: those without would be missing before others."""
-    lacks, trajectory = np.isnan(frames.values_of(names)).any(axis=1), trajectory_of(frames)
+    lacks = np.isnan(frames.values_of(names)).any(axis=1)
+    trajectory = trajectory_of(frames)
     if len(np.intersect1d(trajectory[lacks], trajectory[~lacks])):
         raise ValueError(f"{frames.name} has trajectories labelled in part: label all frames of one, or none")

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gelgap.assets.names import unknown_name
+from gelgap.assets.names import left, unknown_name
 
 PRESET_KINDS = (
     "elastomers",
@@ -19,6 +19,7 @@ PRESET_KINDS = (
     "datasets",
     "profiles",
 )
+_RENAMED = {("profiles", "board"): "benchmark"}
 
 
 def asset_path(*parts: str) -> Path:
@@ -53,6 +54,8 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
     """
     known = list_presets(kind)
     if name not in known:
+        if (kind, name) in _RENAMED:
+            raise ValueError(left(f"{kind[:-1]} preset", name, f"it is called {_RENAMED[kind, name]}"))
         raise ValueError(unknown_name(f"{kind[:-1]} preset", name, known, "known presets"))
     return tomllib.loads(asset_path(kind, f"{name}.toml").read_text(encoding="utf-8"))
 

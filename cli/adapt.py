@@ -55,7 +55,7 @@ class Adapt(opt.Command):
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=standardised --out std-runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select feature-mmd --out chosen
     """
 
     former = MappingProxyType(
@@ -93,8 +93,8 @@ class Adapt(opt.Command):
     weights: Annotated[Path | None, opt.optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
     select: Annotated[str | None, opt.optional("NAME"), check_selector] = None
-    """Choose a run for each target without its labels, by reverse-validation, feature-mmd, a-distance, source-risk,
-    iwcv or dev; the scores are written to selection.csv."""
+    """Choose a run for each target without its labels, by feature-mmd or source-risk; the scores are written to
+    selection.csv."""
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 

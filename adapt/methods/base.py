@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 from pydantic import Field
@@ -165,7 +165,8 @@ def loss_of(
     """Return a method's loss; a RuntimeError says what in its code fails, or what is no loss."""
     name = type(method).__name__
     try:
-        added = method.loss(source, target, step)
+        # One that does not compare features is given none of the target's.
+        added = method.loss(source, cast(Activations, target), step)
     except (FeatureCollapse, TrainingDiverged):
         raise
     except Exception as error:

@@ -87,7 +87,8 @@ def use_method(name: str) -> str:
         find_method(name)
         return name
     file, _, class_name = name.rpartition(":")
-    method, filed_as = _load(name), f"{Path(file).stem}.{class_name}"
+    method = _load(name)
+    filed_as = f"{Path(file).stem}.{class_name}"
     known = OWN_METHODS.get(filed_as)
     if known is not None and getsourcefile(known.kind) != getsourcefile(method):
         raise ValueError(f"method {name!r}: the name {filed_as} is taken by another method")

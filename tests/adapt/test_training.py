@@ -4,6 +4,7 @@ import copy
 import re
 import resource
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -379,7 +380,7 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(
     assert adapt_folders(source, target, methods, long, out_dir=tmp_path, progress=pytest.fail) == runs
     with pytest.raises(RuntimeError, match=r"collapsing has no predictions: .*features collapsed"):
         load_predictions(runs[1])
-    report = write_report(tmp_path).with_suffix(".md").read_text()
+    report = unescape(write_report(tmp_path).read_text())
     assert "Failed, and counted with the source's mean force: collapsing on mb0i0 → wmb1i1, seed 0" in report
 
 
@@ -484,6 +485,8 @@ def test_bad_profiles():
         ValueError, match=r"profile preset 'big' is unknown; known presets: benchmark, cpu, paper, smoke"
     ):
         Profile.preset("big")
+    with pytest.raises(ValueError, match=r"'board' has left: gelgap 0\.3\.0 .*; it is called benchmark"):
+        Profile.preset("board")
     with pytest.raises(ValueError, match="add up to 1"):
         Profile(target_split=(0.6, 0.3, 0.3))
     with pytest.raises(ValueError, match=r"image_size_px.0 = 16: input should be greater than"):

@@ -201,8 +201,8 @@ def test_tables_show_numbers_ranges_and_what_is_not_there():
     )
     table = ResultTable.of("Errors", frame, "a note", {"error": "{:.1f} %", "interval": "{:+.2f}"})
     assert list(table.columns) == ["method", "error", "interval", "n", "ok"]
-    assert table.rows == [["dan", "0.1 %", "+0.10…+0.20", 1, True], ["dsan", None, None, 2, None]]
-    assert ResultTable.of("Errors", frame.reset_index(drop=True)).rows[0][0] == 0.12345
+    assert table.cells == [["dan", "0.1 %", "+0.10…+0.20", "1", "yes"], ["dsan", "–", "–", "2", "–"]]
+    assert ResultTable.of("Errors", frame.reset_index(drop=True)).cells[0][0] == "0.1235"
 
 
 def test_a_table_is_written_as_records(tmp_path):
