@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -15,7 +16,7 @@ from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import MESHES, ContactProblem
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
 
@@ -30,14 +31,9 @@ _OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converge
 # refuses the same.
 FOLDED_AREA = 0.05
 
-# A grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
-_COVERED_RADII = 1.5
-# Points of the membrane this near the indenter touch it, since the cubic between two vertices leaves it a little: a
-# length, and a share of what the indenter cuts of the rest membrane, half its width squared over the indenter's radius.
-# Beside a narrow contact the gap is no wider for some distance.
-_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE = 0.004, 0.006
-# The gel bulges beside the indenter and can touch it this far outside of what it cuts.
-_BULGE_MM = 0.4
+# Chosen beside the references; the file says what each does.
+_MEMBRANE = SimpleNamespace(**MESHES["membrane"])
+
 
 # A polar table's rows are this far apart up to a radius, and further apart beyond it.
 _FINE_SPACING_MM = 0.05
@@ -45,8 +41,6 @@ _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
 _INSET_MM = 1e-9  # points beyond the vertices' hull are moved this far inside: rounding bends its edges
-# A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
-_FADING_CELLS = 6.0
 
 
 def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tuple[Floats, Floats]:
@@ -172,7 +166,7 @@ def covered_extent_mm(
 
     That is at least `half_extent_mm`, but no further than the pad if that is larger than the grid by default.
     """
-    reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
+    reach_mm = pose.radius_mm + _MEMBRANE.covered_radii * indenter.penetration_radius_mm(pose.depth_mm)
     wanted_x, wanted_y = half_extent_mm
     size_x, size_y = elastomer.pad_size_mm
     return (
@@ -203,9 +197,11 @@ def press_onto(
     Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
     """
     depth_mm = max(min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm), 0.0)
-    reach_mm = indenter.penetration_radius_mm(depth_mm) + _BULGE_MM
+    reach_mm = indenter.penetration_radius_mm(depth_mm) + _MEMBRANE.bulge_mm
     half_width_mm = np.ptp(indenter.cut_mm(depth_mm), axis=1).min() / 2
-    gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
+    gap_mm = min(
+        _MEMBRANE.touching_gap_mm, _MEMBRANE.touching_gap_share * half_width_mm**2 / indenter.feature_size_mm
+    )
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
     near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
@@ -302,7 +298,7 @@ def cells_between(solution: Solution, record: Record) -> Cells:
     return Cells(
         tuple(own.passed(-reach, reach) for own, reach in zip(sizes, reach_mm, strict=True)),
         problem.cut_mm + way_mm,
-        _FADING_CELLS * float(min(own.size_mm.min() for own in sizes)),
+        _MEMBRANE.fading_cells * float(min(own.size_mm.min() for own in sizes)),
     )
 
 
