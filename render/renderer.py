@@ -2,7 +2,7 @@
 
 import copy
 import logging
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba.core import event
@@ -33,6 +33,23 @@ QUALITIES: dict[str, tuple[float, ShadowDetail]] = {
     "standard": (0.1, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)),
     "fine": (0.05, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
 }
+
+
+class _Announcement(event.Listener):
+    """Warns at the first compilation while it listens; a function that is loaded from numba's cache is none."""
+
+    made = False
+
+    def on_start(self, event: event.Event) -> None:
+        if not self.made:
+            self.made = True
+            LOG.warning(FIRST_USE)
+
+    def on_end(self, event: event.Event) -> None:
+        """Say nothing: what is compiled next follows at once."""
+
+
+_ANNOUNCEMENT = _Announcement()
 
 
 class MembraneRenderer:
@@ -77,7 +94,8 @@ class MembraneRenderer:
         self._flat_field = None if field is None else FlatFieldFilter(field, sensor.camera, self.size_px)
         self._set_colours(illumination)
         self._set_scattered(illumination)
-        self._set_leds(illumination)
+        with event.install_listener("numba:compile", _ANNOUNCEMENT):
+            self._set_leds(illumination)
         self._set_table(illumination)
 
     def __repr__(self) -> str:
@@ -302,22 +320,3 @@ def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
 def reference_gap(one: MembraneRenderer, other: MembraneRenderer) -> imaging.ColourGap:
     """Return the colour gap of two renderers' pictures of the undeformed membrane, without markers and noise."""
     return imaging.picture_gap(one.reference(markers=False), other.reference(markers=False))
-
-
-class _Announcement(event.Listener):
-    """Warns at the first compilation of a function of gelgap; one that is loaded from numba's cache is none."""
-
-    def __init__(self) -> None:
-        self._made = False
-
-    def on_start(self, event: Any) -> None:
-        function = getattr(event.data.get("dispatcher"), "py_func", None)
-        if not self._made and getattr(function, "__module__", "").startswith("gelgap."):
-            self._made = True
-            LOG.warning(FIRST_USE)
-
-    def on_end(self, event: Any) -> None:
-        """Say nothing: what is compiled next follows at once."""
-
-
-event.register("numba:compile", _Announcement())
