@@ -129,7 +129,7 @@ def import_pyrender() -> tuple[types.ModuleType, str]:
         os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
     vars(np).setdefault("infty", np.inf)
     viewer = types.ModuleType("pyrender.viewer")
-    viewer.Viewer = None
+    vars(viewer)["Viewer"] = None
     sys.modules.setdefault("pyrender.viewer", viewer)
     return importlib.import_module("pyrender"), platform
 
