@@ -18,9 +18,9 @@ import numpy as np
 import pandas as pd
 from pydantic import BeforeValidator
 
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
+from gelgap.adapt.split import SplitFrames
 from gelgap.data import LabelledFrames, paired_contacts, with_labels
 from gelgap.data.frames.dataset import labelled_frames
 from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES

@@ -7,6 +7,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,11 +25,11 @@ from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.checksums import sha256
 from gelgap.assets.progress import Progress, silent
+from gelgap.assets.settings import Settings
 from gelgap.data import LabelledFrames, Labels, join_domains, open_domain, with_labels
 from gelgap.data.frames.dataset import labelled_frames
 from gelgap.data.frames.run_labels import within_range
 from gelgap.data.inspection import log_notes
-from gelgap.domains import PressStream
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""
@@ -252,8 +253,21 @@ def pretrain(
     return _pretrained(model, Path(out_dir), len(seen), left_out, seen, unseen)
 
 
+class FrameStream(Protocol):
+    """Frames that are made when they are asked for, the same for the same numbers, as a `gelgap.domains.PressStream`.
+
+    `ranges` is all that they are drawn from.
+    """
+
+    @property
+    def ranges(self) -> Settings: ...
+
+    def frames(self, start: int, stop: int) -> LabelledFrames:
+        """Return those of samples start…stop whose force lies within its range."""
+
+
 def pretrain_on_stream(
-    stream: PressStream,
+    stream: FrameStream,
     out_dir: str | Path,
     profile: str | Profile = "cpu",
     seed: int = 0,

@@ -4,7 +4,6 @@ import copy
 import json
 import warnings
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,10 @@ from torch import Tensor, nn
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import ForceModel
+from gelgap.assets.extras import need_extra
 from gelgap.assets.whole_file import whole_file
 from gelgap.data.frames.paired_frames import PairedFrames
 
-_NEEDED = ("onnx", "onnxruntime")
 # Of a label's range. A network whose course depends on the picture itself is not what was traced.
 _MOST_DIFFERENCE = 1e-4
 _OPSET = 18
@@ -56,10 +55,7 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
         If the package onnx or onnxruntime is missing, the input is `markers` or `touch`, or the file computes something
         else than the model.
     """
-    if missing := [name for name in _NEEDED if find_spec(name) is None]:
-        raise ValueError(
-            f"export to ONNX needs the package {' and '.join(missing)}; install it with: pip install 'gelgap[onnx]'"
-        )
+    need_extra("export to ONNX", "onnx", "onnx", "onnxruntime")
     if INPUTS[model.profile.input].find is not None:
         raise ValueError(
             f"input {model.profile.input}: what it shows is found outside the network, which ONNX cannot hold; export "

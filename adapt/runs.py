@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.data import check_classes
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -30,6 +30,7 @@ from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.run_record import RECORD, Run, load_run, write_run
 from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
+from gelgap.adapt.split import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
@@ -78,7 +79,7 @@ def adapt_folders(
         Domains that are open, or folders that `gelgap.data.open_domain` reads; several source folders are trained on
         together, several targets are adapted to one by one.
     methods
-        Their names, or `module:Class` or `file.py:Class` of your own.
+        Their names, or `FILE.py:CLASS` of your own.
     profile
         One or several, by name, file or as settings. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force

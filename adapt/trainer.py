@@ -44,7 +44,7 @@ from gelgap.adapt.methods.base import (
     TrainingDiverged,
     loss_of,
 )
-from gelgap.adapt.methods.registry import make_method
+from gelgap.adapt.methods.registry import make_method, use_method
 from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start
 from gelgap.adapt.network import (
     ForceNetwork,
@@ -163,6 +163,8 @@ def adapt(
     source, target
         Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels. Which
         labels, and in which ranges, is the model's.
+    method
+        Its name, or `FILE.py:CLASS` of your own.
     profile, seed
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
@@ -180,6 +182,7 @@ def adapt(
     """
     profile = model.profile if profile is None else profile
     seed = model.seed if seed is None else seed
+    method = use_method(method)
     chosen = make_method(method, profile, model.n_classes, len(model.labels), seed)
     source = with_labels(source, model.labels)
     source.check_labels()
@@ -429,7 +432,7 @@ def _activations(
     if target is not None:
         rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
         target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
-        shown = [method.augment_source(shown[0], target.inputs, step), target.inputs]
+        shown.append(target.inputs)
         if not method.compares_features and profile.judges_by_own_statistics:
             shown.pop()  # what the network makes of it would change nothing
     with autocast(profile, network.device):

@@ -1,4 +1,4 @@
-"""Presets, reference tables and page templates that ship with gelgap, and the functions that read them."""
+"""Presets and files: what ships with gelgap, and the functions by which every room reads and writes."""
 
 import tomllib
 from base64 import b64encode

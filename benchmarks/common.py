@@ -11,25 +11,22 @@ import itertools
 import json
 import logging
 import math
-import multiprocessing
 import os
 import statistics
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from unittest.mock import patch
 
 import numpy as np
 
 from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, sha256, with_checksum, without_checksum
-from gelgap.assets.locks import defer_signals
 from gelgap.assets.whole_file import write_whole
+from gelgap.assets.workers import Workers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +36,6 @@ Setting = dict[str, Any]
 """One cell of a study's grid, by name: what JSON can hold."""
 Results = dict[str, Any]
 """What was measured, by names that no setting has: what JSON can hold, and arrays."""
-ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 RESAMPLES = 4000
 """How many draws a bootstrap takes."""
 _JOB, _ARRAYS = "job", "arrays"
@@ -147,48 +143,21 @@ def _on_workers(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield results as worker processes find them."""
     waiting, running = iter(todo.items()), {}
-    with (
-        patch.dict(os.environ, ONE_THREAD),
-        ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_end_with_parent,
-            max_tasks_per_child=tasks_per_worker,
-        ) as pool,
-    ):
-        try:
+    try:
+        with Workers(workers, tasks_per_worker) as pool:
             while True:
                 free = workers - len(running) if time.time() < stop else 0
                 for key, setting in itertools.islice(waiting, free):
-                    with defer_signals():
-                        running[pool.submit(_measured, *measure, key, setting)] = key
+                    running[pool.submit(_measured, *measure, key, setting)] = key
                 if not running:
                     return
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(future), future.result()
-        except BrokenProcessPool as error:
-            raise RuntimeError(
-                "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
-                "the same command again to go on"
-            ) from error
-        except BaseException:
-            # Left alone, the pool would wait for all that it has begun.
-            processes = list((pool._processes or {}).values())
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
-                process.kill()
-            raise
-
-
-def _end_with_parent() -> None:
-    """End this process as soon as the one that started it has ended, however that was."""
-    parent = multiprocessing.parent_process()
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+    except BrokenProcessPool as error:
+        raise RuntimeError(
+            "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
+            "the same command again to go on"
+        ) from error
 
 
 def _append(file: Path, record: dict[str, Any]) -> None:

@@ -4,14 +4,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from gelgap import sim
 from gelgap.calibrate.profiles import PressProfiles, SolvedPress
-from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
 # Depths that are solved, in radii of the sphere.
 DEPTHS_IN_RADII = (0.075, 0.15, 0.225, 0.3, 0.375, 0.45, 0.525, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 _DEEPEST_IN_THICKNESSES = 0.6
 _BEYOND = 1.3
-CALIBRATION_GEL = Elastomer(
+CALIBRATION_GEL = sim.Elastomer(
     young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5, thickness_mm=4.0, pad_size_mm=(40.0, 40.0)
 )
 """What a gel is taken for; from 4 mm on, pictures of presses hardly depend on it."""
@@ -37,8 +37,8 @@ def sphere_profiles(
         if deepest_mm is not None:
             needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
             depths = depths[: max(needed, 3)]
-        poses = tuple(Pose(depth_mm=depth) for depth in depths)
-        states = solve_poses(CALIBRATION_GEL, Sphere(diameter_mm=diameter_mm), poses, quality)
+        poses = tuple(sim.Pose(depth_mm=depth) for depth in depths)
+        states = sim.solve_poses(CALIBRATION_GEL, sim.Sphere(diameter_mm=diameter_mm), poses, quality)
         solves = []
         for depth, state in zip(depths, states, strict=True):
             if state.converged:

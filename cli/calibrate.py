@@ -3,6 +3,7 @@
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -59,6 +60,14 @@ class Calibrate(opt.Command):
     of sphere_diameter_mm, with depth_mm, a place, and perhaps turn_deg = [0, 0, 30] and shear_mm = [0.3, 0]; and it
     needs no picture.
     """
+
+    former = MappingProxyType(
+        {
+            "--sphere-diameter-mm": opt.Former("0.3.0", "write --ball-mm, which is a diameter, too"),
+            "--keep-camera": opt.Former("0.3.0", "in Python, calibrate_light(keep_camera=True)"),
+            "--held-out-parts": opt.Former("0.3.0", "presses are always held out in three parts"),
+        }
+    )
 
     presses: tyro.conf.Positional[Path]
     """Folder of pictures or videos; or a TOML file that lists pictures of pressed spheres; or gelsight or

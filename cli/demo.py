@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 from gelgap import adapt, domains
@@ -27,6 +28,12 @@ class Demo(opt.Command):
       gelgap demo
     """
 
+    former = MappingProxyType(
+        {
+            "--workers": opt.Former("0.3.0", "there is one process a core"),
+        }
+    )
+
     when_stopped = "finished shards, solves, runs and epochs are kept, run the same command again to go on"
     fills_cache = True
 
@@ -38,7 +45,7 @@ class Demo(opt.Command):
         from gelgap.adapt.report import axis_table, error_table
         from gelgap.data import open_domain
         from gelgap.data.inspection import write_overview
-        from gelgap.domains.gap import gap_rows
+        from gelgap.domains.measured_gap import gap_rows
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
         data, runs_dir = self.out / "data", self.out / "runs"

@@ -25,7 +25,7 @@ from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.keys import advice_on, keys_listing
-from gelgap.cli.options import Command, check_values, output_folder
+from gelgap.cli.options import Command, check_values, output_folder, removed
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
@@ -96,6 +96,8 @@ def parse(words: Sequence[str]) -> Command:
 
 def _parse_command(name: str, words: tuple[str, ...]) -> Command:
     command = COMMANDS[name]
+    if sentence := removed(words, command.former):
+        fail(sentence, EXIT_BAD_INPUT)
     # Keys are fields of models, which take their time to load.
     asks_for_help = not {"-h", "--help"}.isdisjoint(words)
     keys = command.keys() if asks_for_help else {}

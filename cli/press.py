@@ -11,7 +11,8 @@ import tyro
 
 from gelgap import render, sim, view
 from gelgap.cli import options as opt
-from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
+from gelgap.cli.contact_keys import body_keys, gel_keys
+from gelgap.cli.keys import Meanings, Set, given
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 import tyro
@@ -9,6 +10,7 @@ import tyro
 from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
+from gelgap.cli.generation import LOCALLY, GenerationOptions
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,12 @@ class Pretrain(opt.Command):
       gelgap pretrain --domains 60 --frames 60 --out pretrained --dry-run
       gelgap pretrain --domains 60 --frames 60 --stream --out streamed
     """
+
+    former = MappingProxyType(
+        {
+            "--without": opt.Former("0.3.0", "every kind of frame is drawn"),
+        }
+    )
 
     when_stopped = "finished shards, solves and epochs are kept, run the same command again to go on"
     fills_cache = True
@@ -44,7 +52,7 @@ class Pretrain(opt.Command):
     stream: opt.Flag = False
     """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and four new
     lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = LOCALLY
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""

@@ -1,14 +1,12 @@
 """`gelgap view`: a page in the browser that shows one press live."""
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 from gelgap import render, sim
+from gelgap.assets.extras import need_extra
 from gelgap.cli import options as opt
-
-INSTALL = "pip install 'gelgap[view]'"
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,7 @@ class View(opt.Command):
 
     def run(self, started: float) -> None:
         """Serve the page until Ctrl-C."""
-        if find_spec("viser") is None:
-            raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
+        need_extra("gelgap view", "view", "viser")
         import webbrowser
 
         from gelgap.view.marks import MarksPage

@@ -18,20 +18,12 @@ from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.data.random_stream import word
-from gelgap.domains.recipe import DomainRecipe, Interval
+from gelgap.domains.recipe import DomainRecipe, Interval, RisingInterval, rises
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, Sphere
 from gelgap.sim.problem import QualityName
 
-
-def _rises(interval: Interval) -> Interval:
-    if interval[1] < interval[0]:
-        raise ValueError("must be a lowest and a highest value, in this order")
-    return interval
-
-
-RisingInterval = Annotated[Interval, AfterValidator(_rises)]
-PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_rises)]
+PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(rises)]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.

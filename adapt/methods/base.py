@@ -31,7 +31,7 @@ class MethodSettings(Settings):
 class Activations:
     """The network's output for a batch of B frames of one domain, and their known labels.
 
-    inputs (B, channels, h, w) before a method perturbed them; features (B, D) after the bottleneck's ReLU, prediction
+    inputs (B, channels, h, w); features (B, D) after the bottleneck's ReLU, prediction
     (B, k) in [0, 1], logits (B, C) where the method uses the classifier; force (B, k) in [0, 1] and contact_class (B,)
     only where labels may be used. k is 3, the axes of the force, unless a run has other labels; these take their place.
     """
@@ -149,10 +149,6 @@ class Method(nn.Module):
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network in another way; a method that has this is not trained."""
-
-    def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
-        """Return what the network is shown of the source's inputs, the target's (B, channels, h, w) beside them."""
-        return inputs
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""

@@ -35,7 +35,7 @@ def run(
     Args:
         part: What is measured.
         seeds: By default the part's own.
-        methods: Names, or your own as module:Class or file.py:Class, each with its controls; by default the part's own.
+        methods: Names, or your own as FILE.py:CLASS, each with its controls; by default the part's own.
         groups: SOURCE:TARGET; by default the part's own.
         inputs: What the parts `inputs` (by default all) and `leaderboard` (pictures) show, there also random lights.
             For `touch` a straight touch of each point comes first, which is not judged.

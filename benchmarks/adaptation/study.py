@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ForceModel, Profile, split_for_training
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import METHODS_VERSION, Group, Stage1, versions
+from gelgap.adapt.split import SplitFrames
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board
@@ -66,8 +66,8 @@ def grid(
 class Study:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be places of one's own,
-    `module:Class` or `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run
+    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be classes of one's
+    own, `FILE.py:CLASS`. `workers` are processes, by default one per core; one means this process. No run
     is begun after `stop`, a time of `time.time`.
     """
 

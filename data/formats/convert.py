@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -23,12 +22,10 @@ from gelgap.assets.image_file import picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list, is_plain_name
 from gelgap.data.formats.domain_folder import new_folder
 from gelgap.data.formats.pictures import encode_png, resized
+from gelgap.data.formats.video import VIDEOS, picture_times_s, video_pictures
 from gelgap.data.frames.folders import IMAGES, picture_paths, tables_in
 from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 from gelgap.data.frames.tables import GROUPS, known_columns
-
-if TYPE_CHECKING:
-    from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
@@ -36,10 +33,6 @@ CONTACT_N = 0.3
 TABLE = "frames.csv"
 COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "trajectory_id", "step", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
-_COUNTED = (".avi", ".mp4", ".mov")  # the others state no number of pictures, but how long they are
-_SOUND_S = 0.5
-"""The sound of a video may last so much longer than its pictures."""
 _LAYOUT = (
     "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
     "folder of pictures (press/) with a table picture, time_s in it"
@@ -425,8 +418,7 @@ def _recorded_clip(table: Path) -> Clip:
                 f"{time_s[repeats[0]]:.10g} s: a camera takes one picture at a time"
             )
     else:
-        # 0 is OpenCV's CAP_PROP_POS_MSEC.
-        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        time_s = picture_times_s(source)
         pictures = partial(video_pictures, source)
         _check_order(time_s, source)
     # Tables are written with seven digits, which the seconds since 1970 need for themselves.
@@ -456,37 +448,6 @@ def _check_order(time_s: np.ndarray, place: Path) -> None:
             f"{place}: times must not fall, and in row {row + 2} below the header {time_s[row + 1]:.10g} s comes after "
             f"{time_s[row]:.10g} s"
         )
-
-
-def video_pictures(path: Path) -> Iterator[np.ndarray]:
-    """Yield the pictures (h, w, 3) uint8 RGB of a video; a ValueError if OpenCV's FFmpeg cannot read it."""
-    for video in _grabbed(path):
-        done, picture = video.retrieve()
-        if not done:
-            return
-        yield np.ascontiguousarray(picture[..., ::-1])
-
-
-def _grabbed(path: Path) -> "Iterator[VideoCapture]":
-    """Yield a video at each of its pictures, before it is decoded; warn if these are fewer than it states."""
-    import cv2
-
-    video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
-    try:
-        if not video.isOpened():
-            raise ValueError(f"{path} is not a video that can be read")
-        read_s = 0.0
-        while video.grab():
-            read_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            yield video
-        stated, read = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_POS_FRAMES)
-        stated_s = stated / max(video.get(cv2.CAP_PROP_FPS), 1e-9)
-        if path.suffix.lower() in _COUNTED and stated > read + 1:
-            LOG.warning("%s states %d pictures, of which %d could be read", path, stated, read)
-        if path.suffix.lower() not in _COUNTED and stated_s > read_s + _SOUND_S:
-            LOG.warning("%s states %.1f s, of which %.1f s could be read", path, stated_s, read_s)
-    finally:
-        video.release()
 
 
 LAYOUTS: dict[str, Layout] = {"recordings": _recordings}

@@ -7,6 +7,8 @@ from zlib_ng import zlib_ng
 
 from gelgap.assets.image_file import stated_size_px
 
+REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
+"""What pictures without contact are called."""
 _AVERAGE = 3  # the number of this filter (PNG, W3C Recommendation, 3rd edition, 9.2)
 _NEARER, _ALIKE, _MOST_OFF, _ROWS = 0.85, 8, 25, 60
 

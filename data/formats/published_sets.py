@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image
-from gelgap.data.formats.convert import Clip, ConvertedClip, Layout, Selection, mean_rgb, video_pictures
+from gelgap.data.formats.convert import Clip, ConvertedClip, Layout, Selection, mean_rgb
+from gelgap.data.formats.video import video_pictures
 from gelgap.data.frames.tables import read_table
 
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"

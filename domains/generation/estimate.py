@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelgap.assets.names import comma_list
-from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
+from gelgap.domains.generation.scheduler import check_scheduler
 from gelgap.domains.generation.shard import picture_cells
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState

@@ -17,14 +17,12 @@ from gelgap.data.random_stream import random_stream
 from gelgap.domains.generation.columns import CELL_MAKERS, LABEL_MAKERS, Contact, View
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.domains.renderers import KEPT_RENDERERS, kept_renderer, renderer_of
+from gelgap.render import Illumination, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
 
 Row = dict[str, Any]
-# One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.
-KEPT_RENDERERS = 32
-_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
 
 def paper_picture(state: MembraneState) -> np.ndarray:
     """Return the picture (h, w, 3) of the paper's sensor in the light i0, by which a library's error is judged."""
-    renderer = _renderer(Sensor.preset("paper"), Illumination.preset("i0"))
+    renderer = kept_renderer(Sensor.preset("paper"), Illumination.preset("i0"))
     return renderer.picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
@@ -154,11 +152,6 @@ def reference_png(recipe: DomainRecipe) -> bytes:
     rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
     picture = renderer_of(recipe).reference(markers=_shows_markers(recipe), rng=rng)
     return encode_png(_as_shown(recipe, picture))
-
-
-def renderer_of(recipe: DomainRecipe) -> MembraneRenderer:
-    """Return what renders the pictures of a domain; it is kept for other domains of the same light and camera."""
-    return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
 
 
 def _shows_markers(recipe: DomainRecipe) -> bool:

@@ -10,7 +10,8 @@ import pytest
 from real_clones import force_of, pictures_of, rows_of, write_recordings, write_table, write_video
 
 from gelgap.data import convert
-from gelgap.data.formats.convert import COLUMNS, video_pictures, write_picture_table
+from gelgap.data.formats.convert import COLUMNS, write_picture_table
+from gelgap.data.formats.video import video_pictures
 
 
 def test_a_users_recordings_are_lined_up_by_their_clocks(tmp_path: Path, caplog: pytest.LogCaptureFixture):
