@@ -18,8 +18,10 @@ from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.image_file import read_image
 from gelgap.benchmarks.common import print_tables, read_records, write_records
 from gelgap.calibrate.calibrator import calibrate_light
-from gelgap.calibrate.membranes import PressSet, lit_from_dents, sphere_profiles, taxim_presses
+from gelgap.calibrate.membranes import sphere_profiles
 from gelgap.calibrate.pictures import PressPicture, read_presses
+from gelgap.calibrate.start import lit_from_dents
+from gelgap.calibrate.taxim_sets import PressSet, taxim_presses
 from gelgap.render import Camera, Markers, Sensor
 
 MODELS = {

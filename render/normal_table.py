@@ -53,32 +53,45 @@ class TableShare:
     def __init__(
         self, table: NormalTable, share: float, camera: Camera, flat: np.ndarray, untouched: np.ndarray
     ) -> None:
-        place = camera.plane_of_picture_mm(flat.shape[1::-1]).reshape(*flat.shape[:2], 2) / table.half_view_mm
+        height, width, _ = flat.shape
+        place = camera.plane_of_picture_mm((width, height)).reshape(height, width, 2) / table.half_view_mm
         untouched = np.maximum(untouched, _LEAST_LIGHT)
-        arrays = place, table.coefficients.reshape(9, 3, 3), 255 * srgb_encode(untouched), flat / untouched
-        self._arrays = tuple(values.astype(np.float32) for values in arrays)
+        self._place = place.astype(np.float32)
+        self._coefficients = table.coefficients.reshape(9, 3, 3).astype(np.float32)
+        self._code = (255 * srgb_encode(untouched)).astype(np.float32)
+        self._gain = (flat / untouched).astype(np.float32)
         self._share = np.float32(share)
 
     def mix_into(self, linear: np.ndarray, normals: np.ndarray) -> None:
         """Mix the table's light into modelled light (h, w, 3) float32 of a membrane with such normals, in place."""
-        _mix(normals, *self._arrays, _DECODED, self._share, linear)
+        _mix(normals, self._place, self._coefficients, self._code, self._gain, _DECODED, self._share, linear)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _mix(normals, place, coefficients, code, gain, decoded, share, linear):
     rows, columns, _ = linear.shape
-    terms, steps = np.zeros(9, np.float32), np.float32(len(decoded) - 1)
+    terms = np.zeros(9, np.float32)
+    steps = np.float32(len(decoded) - 1)
     for j in range(rows):
         for i in range(columns):
             x, y = normals[j, i, 0], normals[j, i, 1]
             if max(abs(x), abs(y)) < _LEAST_TILT:
                 continue
-            terms[0], terms[1], terms[2], terms[3], terms[4] = x, y, x * x, x * y, y * y
-            terms[5], terms[6], terms[7], terms[8] = x * x * x, x * x * y, x * y * y, y * y * y
+            terms[0] = x
+            terms[1] = y
+            terms[2] = x * x
+            terms[3] = x * y
+            terms[4] = y * y
+            terms[5] = x * x * x
+            terms[6] = x * x * y
+            terms[7] = x * y * y
+            terms[8] = y * y * y
             for channel in range(3):
                 read = code[j, i, channel]
                 for k in range(9):
-                    own = coefficients[k, :, channel]
-                    read += terms[k] * (own[0] + own[1] * place[j, i, 0] + own[2] * place[j, i, 1])
+                    by_place = coefficients[k, :, channel]
+                    read += terms[k] * (
+                        by_place[0] + by_place[1] * place[j, i, 0] + by_place[2] * place[j, i, 1]
+                    )
                 level = decoded[np.uint32(min(max(read / 255, 0), 1) * steps)]
                 linear[j, i, channel] += share * (gain[j, i, channel] * level - linear[j, i, channel])

@@ -12,20 +12,18 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.calibrate.calibrator import (
     LightTask,
     _at_limits,
-    _predicts_better,
     _suspects,
     calibrate_light,
-    held_out_parts,
-    save_calibration,
-    table_share,
 )
+from gelgap.calibrate.check import _predicts_better, held_out_parts, table_share
 from gelgap.calibrate.fit import LightFit
 from gelgap.calibrate.light import Bars, SeenPoints
-from gelgap.calibrate.membranes import lit_from_dents
 from gelgap.calibrate.pictures import PressPicture
 from gelgap.calibrate.poses import place_presses
 from gelgap.calibrate.profiles import PressProfiles, SolvedPress
 from gelgap.calibrate.residual import fitted_residual, residual_around
+from gelgap.calibrate.sensor_file import save_calibration
+from gelgap.calibrate.start import lit_from_dents
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.imaging import Camera, srgb_decode, srgb_encode
 from gelgap.render.light.leds import Illumination
