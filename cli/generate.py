@@ -102,7 +102,7 @@ class Generate(opt.Command):
     @classmethod
     def keys(cls) -> dict[str, Meanings]:
         fields = domains.DomainRecipe.model_fields
-        making = {name: fields[name].description for name in ("contacts", "interpolated")}
+        making = {name: fields[name].description or "" for name in ("contacts", "interpolated")}
         return {"gel": gel_keys(), "body": body_keys(), "making of the domains": making}
 
     def run(self, started: float) -> None:

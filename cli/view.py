@@ -46,6 +46,7 @@ class View(opt.Command):
         from gelgap.view.page import Page
         from gelgap.view.state import Configuration
 
+        page: MarksPage | Page
         if (folder := Path(self.sensor)).is_dir():
             page = MarksPage(folder, self.host, self.port)
         else:
