@@ -33,7 +33,8 @@ class Cache(opt.Command):
         from gelgap.render.light.spectra import clear_led_cache
         from gelgap.sim.solution import cache_entries, cached_files, clear_cache
 
-        files, verb = cached_files(), "deleted" if self.clear else "holds"
+        files = cached_files()
+        verb = "deleted" if self.clear else "holds"
         size = sum(file.stat().st_size for file in files)
         if self.clear:
             clear_led_cache()

@@ -13,7 +13,9 @@ from gelgap.cli import options as opt
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
 METHODS = ("source-only", "adabn", "dsan")
-PATH, PROFILE, SEED = "smoke-random", "smoke", 0
+PATH = "smoke-random"
+PROFILE = "smoke"
+SEED = 0
 # Of the source's frames, by Fz, for DSAN: contacts at random are on no grid that would class them.
 CLASSES = 10
 
@@ -48,7 +50,8 @@ class Demo(opt.Command):
         from gelgap.domains.measured_gap import gap_rows
 
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {PATH}")
-        data, runs_dir = self.out / "data", self.out / "runs"
+        data = self.out / "data"
+        runs_dir = self.out / "runs"
         print(domains.generate((SOURCE, TARGET), PATH, data, quality="draft", seed=SEED))
 
         print(f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {PROFILE!r})")
@@ -87,7 +90,8 @@ def headline(runs: "Sequence[adapt.Run]") -> str:
         f"({_change(aligned, statistics)})"
     )
     source_only = by_method["source-only"]
-    learnt, constant = source_only.source_held_out, source_only.source_constant_mean
+    learnt = source_only.source_held_out
+    constant = source_only.source_constant_mean
     if learnt is not None and constant is not None and learnt.mean_mae_n >= 0.5 * constant.mean_mae_n:
         outcome += "; source-only did NOT learn: its error on the source is over half the mean's"
     return outcome

@@ -147,7 +147,8 @@ def main(
     """
     started = time.perf_counter() if started is None else started
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    command, at_work = None, False
+    command = None
+    at_work = False
     try:
         try:
             if arguments == ["--version"]:
