@@ -4,6 +4,7 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
 
 LONGEST_QUOTED = 80
 LAST_VERSION = "0.3.0"
@@ -87,7 +88,7 @@ def one_line(self: object) -> str:
     return f"{type(self).__name__}({', '.join(told)})"
 
 
-def _brief(value: object) -> str:
+def _brief(value: Any) -> str:
     """Return an array's shape, a preset's name, how many entries something long has, and of other objects the type."""
     if hasattr(value, "ndim") and value.ndim > 0:
         return f"array {value.shape}" if value.size > 3 else str(value.round(4).tolist())

@@ -40,7 +40,7 @@ def shown_progress() -> Iterator[Progress]:
         yield shown or silent
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
     console = Console(stderr=True)
@@ -56,7 +56,8 @@ def shown_progress() -> Iterator[Progress]:
         speed_estimate_period=_SPEED_PERIOD_S,
         disable=not has_bars,
     )
-    tasks, next_line = {}, {}
+    tasks: dict[str, TaskID] = {}
+    next_line: dict[str, float] = {}
 
     def tell(title: str, done: int, total: int, message: str = "") -> None:
         if title not in tasks:

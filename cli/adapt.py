@@ -149,7 +149,8 @@ def _show(runs: "Sequence[adapt.Run]") -> None:
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
     from gelgap.adapt.report import label_free_tables, method_titles
 
-    titles, first = method_titles(runs), runs[0]
+    titles = method_titles(runs)
+    first = runs[0]
     if first.target_test is None:
         for table in label_free_tables(runs):
             table.show()

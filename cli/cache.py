@@ -32,7 +32,8 @@ class Cache(opt.Command):
         from gelgap.data.frames.stored import clear_picture_cache
         from gelgap.sim.solution import cache_entries, cached_files, clear_cache
 
-        files, verb = cached_files(), "deleted" if self.clear else "holds"
+        files = cached_files()
+        verb = "deleted" if self.clear else "holds"
         size = sum(file.stat().st_size for file in files)
         if self.clear:
             if pictures := clear_picture_cache():

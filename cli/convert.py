@@ -75,11 +75,11 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
     }
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
-    every["range"] = [f"{own.lag_range[0]}…{own.lag_range[1]}" if own.lag_range else "" for own in clips]
+    every["range"] = [f"{clip.lag_range[0]}…{clip.lag_range[1]}" if clip.lag_range else "" for clip in clips]
     every = every.astype({"lag": float, "r": float, "r at 0": float})
     by_clip = every.set_index(["session", "name"])[[*sums, "lag", "range", "r", "r at 0", *means]]
     by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
-    lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
+    lines = [table.to_string(formatters=formats, na_rep="") + "\n" for table in (by_clip, by_session)]
     if every["lag"].notna().any():
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself unless you stated it; range: the lags that "

@@ -23,7 +23,8 @@ def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
     from gelgap.data.frames.labels import PAPER_RANGES
 
-    given, papers = label_ranges(texts), PAPER_RANGES
+    given = label_ranges(texts)
+    papers = PAPER_RANGES
     if others := sorted(given.keys() - papers.keys()):
         raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(papers)}")
     return tuple((papers | given).values())
@@ -102,7 +103,7 @@ class Generate(opt.Command):
     @classmethod
     def keys(cls) -> dict[str, Meanings]:
         fields = domains.DomainRecipe.model_fields
-        making = {name: fields[name].description for name in ("contacts", "interpolated")}
+        making = {name: fields[name].description or "" for name in ("contacts", "interpolated")}
         return {"gel": gel_keys(), "body": body_keys(), "making of the domains": making}
 
     def run(self, started: float) -> None:
@@ -186,6 +187,7 @@ class Generate(opt.Command):
         )
         if self.lights_like is None:
             return (recipe,)
-        like, kinds = read_image(self.lights_like), self.illumination and [recipe.illumination]
+        like = read_image(self.lights_like)
+        kinds = self.illumination and [recipe.illumination]
         with named_in_errors(self.lights_like):
             return domains.in_drawn_lights(recipe, like, kinds)

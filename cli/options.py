@@ -185,5 +185,5 @@ def _problems(options: Any) -> Iterator[str]:
 
 def _notes(hint: Any) -> list[Any]:
     """Return what stands in an annotation beside the type, also inside `X | None`."""
-    own = hint.__metadata__ if get_origin(hint) is Annotated else ()
-    return [*own, *(note for part in get_args(hint) for note in _notes(part))]
+    notes = hint.__metadata__ if get_origin(hint) is Annotated else ()
+    return [*notes, *(note for part in get_args(hint) for note in _notes(part))]

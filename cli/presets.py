@@ -42,8 +42,8 @@ class Presets(opt.Command):
             from gelgap.sim.shapes import SHAPES
 
             print("shapes:")
-            for name, shape in SHAPES.items():
-                print(f"  {name:<16} {_as_set(shape().model_dump(), body_keys())}")
+            for name, body in SHAPES.items():
+                print(f"  {name:<16} {_as_set(body().model_dump(), body_keys())}")
 
 
 def _as_set(values: dict[str, Any], keys: Meanings) -> str:

@@ -104,7 +104,7 @@ class Press(opt.Command):
             pressed = sim.pose_for_force(elastomer, indenter, self.force_n, self.point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
         state = sim.solve_pose(elastomer, indenter, pose, self.quality)
-        found = state.diagnostics
+        diagnostics = state.diagnostics
         if self.save is not None:
             state.save(self.save)
         if self.traction is not None:
@@ -125,7 +125,7 @@ class Press(opt.Command):
             "contact_radius_mm": float(state.contact_radius_mm),
             "converged": bool(state.converged),
             "indenter_mm": state.contact_solve.indenter_mm.tolist(),
-            **{name: getattr(found, name) for name in DIAGNOSTICS},
+            **{name: getattr(diagnostics, name) for name in DIAGNOSTICS},
             "wall_s": time.perf_counter() - started,
         }
         if self.json:

@@ -66,7 +66,7 @@ class Pretrain(opt.Command):
             )
         drawn = {"seed": self.seed, "size_px": self.size, "quality": self.quality}
         if self.stream:
-            self._train_on_stream(domains.PressStream(ranges, **drawn), profile, self.domains * self.frames)
+            _train_on_stream(domains.PressStream(ranges, **drawn), self, profile, self.domains * self.frames)
             return
         recipes = domains.pretraining_recipes(self.domains, self.frames, ranges, **drawn)
         self.generation.estimate(recipes)
@@ -81,22 +81,24 @@ class Pretrain(opt.Command):
         with shown_progress() as progress:
             print(adapt.pretrain(folders, self.out, profile, self.seed, progress=progress))
 
-    def _train_on_stream(
-        self, stream: "domains.PressStream", profile: "adapt.Profile", frames_per_epoch: int
-    ) -> None:
-        solves = [
-            solve for press in range(stream.ranges.presses) for solve in stream.plan(press).solved.solves
-        ]
-        print(
-            f"solves   {len(solves)} for {stream.ranges.presses} gels and spheres, as they are drawn, about "
-            f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
-            f"training {profile.source_epochs} epochs of {frames_per_epoch} new frames each",
-            flush=True,
-        )
-        if self.generation.dry_run:
-            return
-        from gelgap.adapt.few_labels import pretrain_on_stream
 
-        with shown_progress() as progress:
-            every = {"frames_per_epoch": frames_per_epoch, "progress": progress}
-            print(pretrain_on_stream(stream, self.out, profile, self.seed, **every))
+def _train_on_stream(
+    stream: "domains.PressStream", command: Pretrain, profile: "adapt.Profile", frames_per_epoch: int
+) -> None:
+    """Say what the solves take, and train on frames that are made meanwhile."""
+    solves = [solve for press in range(stream.ranges.presses) for solve in stream.plan(press).solved.solves]
+    print(
+        f"solves   {len(solves)} for {stream.ranges.presses} gels and spheres, as they are drawn, about "
+        f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
+        f"training {profile.source_epochs} epochs of {frames_per_epoch} new frames each",
+        flush=True,
+    )
+    if command.generation.dry_run:
+        return
+    from gelgap.adapt.few_labels import pretrain_on_stream
+
+    with shown_progress() as progress:
+        trained = pretrain_on_stream(
+            stream, command.out, profile, command.seed, frames_per_epoch=frames_per_epoch, progress=progress
+        )
+        print(trained)

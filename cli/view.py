@@ -46,10 +46,12 @@ class View(opt.Command):
         from gelgap.view.page import Page
         from gelgap.view.state import Configuration
 
+        page: MarksPage | Page
         if (folder := Path(self.sensor)).is_dir():
             page = MarksPage(folder, self.host, self.port)
         else:
-            sensor, gel = render.Sensor.named(self.sensor), sim.Elastomer.named(self.elastomer)
+            sensor = render.Sensor.named(self.sensor)
+            gel = sim.Elastomer.named(self.elastomer)
             page = Page(Configuration(gel, sensor, sensor.lit_by(self.illumination)), self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)

@@ -31,7 +31,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
         colour_difference=round(colours.mean, 3),
         colour_difference_p95=round(colours.percentile_95, 3),
-        markers=markers_gap(*(shown_markers(own.sensor, own.markers) for own in (base, other))),
+        markers=markers_gap(*(shown_markers(recipe.sensor, recipe.markers) for recipe in (base, other))),
         fields=tuple(name for name, _, _ in differences(base.configuration(), other.configuration())),
     )
 

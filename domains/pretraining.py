@@ -88,7 +88,8 @@ class PretrainingRanges(Settings):
             If it is not valid TOML, a field is unknown, or a value is out of range.
         """
         with named_in_errors(path):
-            default, given = cls.default().model_dump(), read_toml(path)
+            default = cls.default().model_dump()
+            given = read_toml(path)
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
             return cls(**(default | given))
@@ -125,7 +126,8 @@ def pretraining_recipes(
         )
     recipes = []
     for number in range(domains):
-        name, press = f"pretraining-{number:04d}", draws.press(number % ranges.presses)
+        name = f"pretraining-{number:04d}"
+        press = draws.press(number % ranges.presses)
         sensor, illumination, markers = draws.seen_by(number)
         (modulus_mpa,) = draws.values("modulus", number, "young_modulus_mpa")
         poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
@@ -184,7 +186,8 @@ class Draws:
         )
         (diameter_mm,) = self.values("sphere of a press", number, "sphere_diameter_mm")
         deepest, travel = self.stream("depths of a press", number).random(2).tolist()
-        sphere, thickness_mm = Sphere(diameter_mm=round(diameter_mm, 2)), round(thickness_mm, 2)
+        sphere = Sphere(diameter_mm=round(diameter_mm, 2))
+        thickness_mm = round(thickness_mm, 2)
         gel = {
             "poisson_ratio": round(ratio, 4),
             "friction": round(friction, 3),
@@ -210,7 +213,8 @@ class Draws:
 
     def light(self, number: int) -> tuple[Sensor, Illumination]:
         """Return a sensor without light of its own, and its light: varied, and its colours change places."""
-        rng, ranges = self.stream("light", number), self.ranges
+        rng = self.stream("light", number)
+        ranges = self.ranges
         sensor = _sensor(str(rng.choice(ranges.sensors)))
         other = str(rng.choice(ranges.illuminations))
         illumination = sensor.illumination or Illumination.preset(other)
@@ -255,7 +259,8 @@ class Draws:
 
     def poses(self, number: int, press: Press, frames: int, view_mm: tuple[float, float]) -> tuple[Pose, ...]:
         """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
-        rng, contacts = self.stream("contacts", number), len(press.contacts_mm)
+        rng = self.stream("contacts", number)
+        contacts = len(press.contacts_mm)
         rounds = -(-(frames - 1) // contacts)
         order = np.concatenate([rng.permutation(contacts) for _ in range(rounds)])[: frames - 1]
         poses = [Pose(depth_mm=0.0, contact_class=0)]

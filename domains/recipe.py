@@ -258,7 +258,8 @@ class DomainRecipe(Settings):
 
     def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts of each indenter that really happen."""
-        errors, poses = self.drawn_errors(), self.commanded_poses()
+        errors = self.drawn_errors()
+        poses = self.commanded_poses()
         if any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg)):
             poses = tuple(errors.actual(pose) for pose in poses)
         return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
@@ -281,7 +282,8 @@ def shown_markers(sensor: Sensor, wanted: bool) -> Markers | None:
 
 def facts_of(recipe: DomainRecipe) -> DomainFacts:
     """Return what readers of the domain need to know of its gel, camera and gauge."""
-    gel, camera = recipe.elastomer, recipe.sensor.camera
+    gel = recipe.elastomer
+    camera = recipe.sensor.camera
     return DomainFacts(
         young_modulus_mpa=gel.young_modulus_mpa,
         poisson_ratio=gel.poisson_ratio,
@@ -419,8 +421,8 @@ def own_recipe(
     """
     if any(domain.name == name and domain.illumination != OWN_LIGHT for domain in known_domains()):
         raise ValueError(f"name = {name!r}: means a domain of presets; choose another, as {name}-own")
-    own = {"name": name, "elastomer": elastomer, "illumination": illumination}
-    settings |= {field: value for field, value in own.items() if value is not None}
+    parts = {"name": name, "elastomer": elastomer, "illumination": illumination}
+    settings |= {field: value for field, value in parts.items() if value is not None}
     (recipe,) = make_recipes([base], path, **settings | {"inpainted": ()})
     return recipe
 

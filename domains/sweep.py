@@ -127,7 +127,8 @@ class Sweep(Settings):
                 configuration["inpainted_from"] = f"{name}-with-markers"
             drawn_as: dict[str, Value] = {}
             if self.variation is not None:
-                rng, drawn_as = np.random.default_rng([self.seed, number]), {"draw": number}
+                rng = np.random.default_rng([self.seed, number])
+                drawn_as = {"draw": number}
                 light = vary_illumination(base.illumination, self.variation, rng)
                 configuration["illumination"] = light.model_dump(mode="json")
                 configuration["sensor"] = vary_sensor(base.sensor, self.variation, rng).model_dump(
@@ -152,7 +153,8 @@ class Sweep(Settings):
             variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
             for variant in variants
         }
-        path, content = Path(out_dir) / "sweep.json", with_checksum({"base": base.name, "domains": table})
+        path = Path(out_dir) / "sweep.json"
+        content = with_checksum({"base": base.name, "domains": table})
         write_whole(path, json.dumps(content, indent=1, ensure_ascii=False).encode())
         return path
 

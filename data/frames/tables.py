@@ -208,8 +208,8 @@ def _known_columns(
             except _UnusableError as problem:
                 unusable[ours] = str(problem)
         if len(usable) > 1:
-            headers = " and ".join(repr(header) for header, *_ in usable)
-            unusable[ours] = f"the columns {headers} mean the same, {ours}: take one out, or rename it"
+            named_alike = " and ".join(repr(header) for header, *_ in usable)
+            unusable[ours] = f"the columns {named_alike} mean the same, {ours}: take one out, or rename it"
             if ours in QUANTITIES:
                 raise ValueError(unusable[ours])
         for header, unit, values in usable[:1] if len(usable) == 1 else ():
@@ -233,7 +233,7 @@ def _known_columns(
         _check_unlabelled(unusable, unread)
     notes += [f"{problem}; not read" for problem in unusable.values()]
     for unit in dict.fromkeys(without_unit.values()):
-        headers = [header for header, own in without_unit.items() if own == unit]
+        headers = [header for header, taken in without_unit.items() if taken == unit]
         notes.append(
             f"no unit is stated: {', '.join(headers)} {'are' if headers[1:] else 'is'} read in {unit}"
         )

@@ -60,7 +60,8 @@ def _finished(tasks: Sequence[Task], client: "Client") -> Iterator[tuple[Task, A
     """Submit all tasks; keys are content, so no work is done twice."""
     from distributed import as_completed
 
-    made, by_key = {}, {f"{task.kind}-{task.key}": task for task in tasks}
+    by_key = {f"{task.kind}-{task.key}": task for task in tasks}
+    made: dict[str, Any] = {}
     for key, task in by_key.items():
         made[task.key] = client.submit(
             make_in_worker, task, {need: made[need] for need in task.needs}, key=key

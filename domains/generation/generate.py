@@ -239,7 +239,8 @@ class DomainWriter:
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
-        files, self.interpolation = manifest["files"], manifest.get("interpolation")
+        files = manifest["files"]
+        self.interpolation = manifest.get("interpolation")
         self.files = {name: entry for name, entry in files.items() if not self.folder.problem(name, entry)}
         self.skipped = manifest["complete"] and len(self.files) == len(files)
         there, asked = manifest["configuration"], self.recipe.configuration()
@@ -293,7 +294,8 @@ class DomainWriter:
         return sum(entry.get(count, 0) for entry in self.files.values())
 
     def _write_manifest(self) -> None:
-        recipe, shards = self.recipe, self.files.values()
+        recipe = self.recipe
+        shards = self.files.values()
         lows = [entry["force_min_n"] for entry in shards if entry.get("force_min_n")]
         highs = [entry["force_max_n"] for entry in shards if entry.get("force_max_n")]
         manifest = {
@@ -333,11 +335,11 @@ def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, Doma
 @lru_cache(maxsize=1)
 def package_versions() -> dict[str, str]:
     """Return the versions of the packages that a domain's bytes may depend on."""
-    found = dict.fromkeys(PACKAGES, "not installed")
+    versions = dict.fromkeys(PACKAGES, "not installed")
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            versions[name] = version(name)
+    return versions
 
 
 def _log_event(out_dir: Path, what: str, **values: Any) -> None:

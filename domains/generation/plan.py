@@ -25,11 +25,11 @@ FRAMES_PER_SHARD = 128
 class Contacts:
     """The poses of frames, and the solve that each follows from, or the library of poses.
 
-    Where the library serves a pose, the plan `own` has it without contact.
+    Where the library serves a pose, the plan of `solved` poses has it without contact.
     """
 
     poses: tuple[Pose, ...]
-    own: SolvePlan
+    solved: SolvePlan
     library: LibraryPlan | None = None
 
     @classmethod
@@ -56,28 +56,28 @@ class Contacts:
     def sources(self) -> dict[str, PoseSource]:
         """What the poses follow from, by key."""
         libraries = {} if self.library is None else {self.library.key: self.library}
-        return {solve.key: solve for solve in self.own.solves} | libraries
+        return {solve.key: solve for solve in self.solved.solves} | libraries
 
     def source_key(self, index: int) -> str | None:
         """Return the key of what a pose follows from; None without contact."""
         if self._is_interpolated(index):
             return self.library.key
-        return self.own.solve_key(index) if self.own.placements[index] is not None else None
+        return self.solved.solve_key(index) if self.solved.placements[index] is not None else None
 
     def state(self, index: int, source: Any, half_extent_mm: tuple[float, float]) -> LibraryPose | SolvedPose:
         """Return the membrane of a pose from what the source that `source_key` names is served by."""
         if self._is_interpolated(index):
-            return source.state(self.own.elastomer, self.poses[index], half_extent_mm)
-        return self.own.state(index, source, half_extent_mm)
+            return source.state(self.solved.elastomer, self.poses[index], half_extent_mm)
+        return self.solved.state(index, source, half_extent_mm)
 
     def _is_interpolated(self, index: int) -> bool:
-        return self.own.placements[index] is None and self.poses[index].depth_mm > 0
+        return self.solved.placements[index] is None and self.poses[index].depth_mm > 0
 
     def part(self, start: int, stop: int) -> "Contacts":
         """Return the contacts of some frames."""
-        own = self.own
-        own = replace(own, poses=own.poses[start:stop], placements=own.placements[start:stop])
-        return replace(self, poses=self.poses[start:stop], own=own)
+        poses, placements = self.solved.poses[start:stop], self.solved.placements[start:stop]
+        solved = replace(self.solved, poses=poses, placements=placements)
+        return replace(self, poses=self.poses[start:stop], solved=solved)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,9 @@ class GenerationPlan:
         """Return what is left to do where some shards are finished, by the name of the domain."""
         batches = []
         for batch in self.batches:
-            recipes = tuple(own for own in batch.recipes if batch.shard not in finished.get(own.name, ()))
+            recipes = tuple(
+                recipe for recipe in batch.recipes if batch.shard not in finished.get(recipe.name, ())
+            )
             if recipes:
                 batches.append(replace(batch, recipes=recipes))
         needed = {key for batch in batches for key in batch.solve_keys}

@@ -21,6 +21,8 @@ from gelgap.domains.renderers import KEPT_RENDERERS, kept_renderer, renderer_of
 from gelgap.render import Illumination, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
+from gelgap.sim.library import LibraryPose
+from gelgap.sim.solved import SolvedPose
 
 Row = dict[str, Any]
 
@@ -56,17 +58,19 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
     rows: dict[str, list[Row]] = {name: [] for name in labels_of}
     refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
-    groups, frames = list(alike.values()), range(batch.start, batch.start + len(batch))
+    groups = list(alike.values())
+    frames = range(batch.start, batch.start + len(batch))
     # A membrane is rastered once for all lights of a group; a group has as many lights as renderers are kept.
     for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
         source = solutions.get(batch.contacts.source_key(place))
-        states: dict[tuple[float, float], MembraneState] = {}
+        states: dict[tuple[float, float], LibraryPose | SolvedPose] = {}
         for recipes in groups[start : start + KEPT_RENDERERS]:
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:
                 states[extent] = batch.contacts.state(place, source, extent)
-            state, reason = states[extent], None
+            state = states[extent]
+            reason: str | None = None
             cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
@@ -80,8 +84,8 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                     # Only a sentence of our own speaks for itself.
                     is_ours = isinstance(error, ValueError)
                     reason = str(error) if is_ours else f"{type(error).__name__}: {error}"
-            for recipe, own_cells in zip(recipes, cells, strict=True):
-                rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
+            for recipe, picture in zip(recipes, cells, strict=True):
+                rows[recipe.name].append(labels_of[recipe.name](frame, state) | picture)
                 if reason is not None:
                     refused[recipe.name][frame] = reason
     library = batch.contacts.library and solutions.get(batch.contacts.library.key)
@@ -167,20 +171,23 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
 def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]:
     """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
     names = [column.name for column in (*LABELS, *_optional(recipe)) if column.is_label]
-    poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
+    poses = recipe.commanded_poses()
+    travels = trajectories(recipe.path.poses)
     split = draw_parts(recipe.frames, recipe.seed)
     last_travel = max(number for number, _ in travels) + 1
-    bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
+    bias_n = recipe.drawn_errors().force_bias_n
+    noise_n = recipe.acquisition.force_noise_n
 
     def cells(frame: int, state: MembraneState) -> Row:
-        force_n = np.asarray(state.force_n, float) + bias_n
+        read_n = np.asarray(state.force_n, float) + bias_n
         if noise_n:
             rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
-            force_n = force_n + noise_n * rng.standard_normal(3)
+            read_n = read_n + noise_n * rng.standard_normal(3)
         # Adding zero turns −0.0, which some readers show, into 0.0.
-        force_n = tuple(float(value) + 0.0 for value in force_n)
+        force_n = tuple(float(value) + 0.0 for value in read_n)
         turn, place = divmod(frame, len(poses))
-        (travel, step), indenter = travels[place], recipe.indenters[turn]
+        (travel, step) = travels[place]
+        indenter = recipe.indenters[turn]
         travel += turn * last_travel
         contact = Contact(
             frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label

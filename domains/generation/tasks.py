@@ -125,7 +125,9 @@ def _finished_by_processes(tasks: Sequence[Task], processes: int) -> Iterator[tu
 
     A dead worker takes the pool with it: another one begins with what was not finished.
     """
-    made, unfinished, deaths = _Made(tasks), list(tasks), Counter[str]()
+    made = _Made(tasks)
+    unfinished = list(tasks)
+    deaths = Counter[str]()
     while unfinished:
         running: dict[Future[Any], Task] = {}
         try:

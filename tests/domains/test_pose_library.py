@@ -237,7 +237,7 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
     path = PosePath("edge", (*random_path.poses, at_the_edge))
     contacts = Contacts.interpolated(GEL, Sphere(), path, "draft")
     assert contacts.source_key(1) == contacts.library.key
-    assert contacts.source_key(len(path.poses) - 1) == contacts.own.solves[0].key
+    assert contacts.source_key(len(path.poses) - 1) == contacts.solved.solves[0].key
 
 
 def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:
