@@ -6,10 +6,10 @@ import runpy
 import signal
 import subprocess
 import sys
-from pathlib import Path
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
