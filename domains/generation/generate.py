@@ -6,11 +6,10 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ from gelgap.data.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM,
 from gelgap.domains.domain import Domain
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
-from gelgap.domains.generation.scheduler import SYNCHRONOUS, check_answers, check_scheduler
+from gelgap.domains.generation.scheduler import check_answers, check_scheduler
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.generation.tasks import finished_by_processes, finished_here, tasks_of
+from gelgap.domains.generation.tasks import run
 from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, facts_of, make_recipes
 from gelgap.sim import ContactPath, PosePath
 
@@ -166,7 +165,7 @@ def generate_recipes(
             _check_space(out_dir, plan, writers)
             progress("solves", 0, len(plan.solves))
             progress("frames", 0, plan.frames)
-            _write_shards(shards_of(plan, progress, scheduler, workers), writers, plan.frames, progress, log)
+            _write_shards(run(plan, progress, scheduler, workers), writers, plan.frames, progress, log)
         except BaseException as error:
             log("stopped", error=f"{type(error).__name__}: {error}")
             raise
@@ -221,36 +220,6 @@ def _report(
         wall_s=wall_s,
         interpolation=interpolation,
     )
-
-
-def shards_of(
-    plan: GenerationPlan, progress: Progress, scheduler: str | None, workers: int | None
-) -> Iterator[Shard]:
-    """Run a plan and yield the shards as they come.
-
-    The scheduler is `synchronous` for this process, or the address of a Dask scheduler. Without one, `workers`
-    processes are started on this machine, by default one per core.
-
-    Raises
-    ------
-    RuntimeError
-        If workers keep dying on one task, or a cluster is lost.
-    """
-    tasks = tasks_of(plan)
-    if scheduler == SYNCHRONOUS or not tasks:
-        finished = finished_here(tasks)
-    elif scheduler is None:
-        finished = finished_by_processes(tasks, plan.processes(workers))
-    else:
-        from gelgap.domains.generation.dask_cluster import finished_by_cluster
-
-        finished = finished_by_cluster(tasks, scheduler)
-    solved = count(1)
-    for task, made in finished:
-        if task.kind == "solve":
-            progress("solves", next(solved), len(plan.solves))
-        elif task.kind == "frames":
-            yield from made
 
 
 class DomainWriter:

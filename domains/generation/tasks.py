@@ -6,10 +6,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from typing import Any, Literal
 
+from gelgap.assets.progress import Progress
 from gelgap.assets.workers import Workers
 from gelgap.domains.generation.plan import FrameBatch, GenerationPlan, PoseSource
+from gelgap.domains.generation.scheduler import SYNCHRONOUS
 from gelgap.domains.generation.shard import Shard, paper_picture, render_batch
 from gelgap.sim.plan import Solve
 
@@ -27,6 +30,36 @@ class Task:
     key: str
     needs: tuple[str, ...]
     make: Callable[[dict[str, Any]], Any]
+
+
+def run(
+    plan: GenerationPlan, progress: Progress, scheduler: str | None, workers: int | None
+) -> Iterator[Shard]:
+    """Run a plan and yield the shards as they come.
+
+    The scheduler is `synchronous` for this process, or the address of a Dask scheduler. Without one, `workers`
+    processes are started on this machine, by default one per core.
+
+    Raises
+    ------
+    RuntimeError
+        If workers keep dying on one task, or a cluster is lost.
+    """
+    tasks = tasks_of(plan)
+    if scheduler == SYNCHRONOUS or not tasks:
+        finished = _finished_here(tasks)
+    elif scheduler is None:
+        finished = _finished_by_processes(tasks, plan.processes(workers))
+    else:
+        from gelgap.domains.generation.dask_cluster import finished_by_cluster
+
+        finished = finished_by_cluster(tasks, scheduler)
+    solved = count(1)
+    for task, made in finished:
+        if task.kind == "solve":
+            progress("solves", next(solved), len(plan.solves))
+        elif task.kind == "frames":
+            yield from made
 
 
 def tasks_of(plan: GenerationPlan) -> list[Task]:
@@ -78,7 +111,7 @@ class _Made:
         return {need: self._by_key[need] for need in task.needs}
 
 
-def finished_here(tasks: Sequence[Task]) -> Iterator[tuple[Task, Any]]:
+def _finished_here(tasks: Sequence[Task]) -> Iterator[tuple[Task, Any]]:
     """Yield each task and what it makes, one after the other in this process."""
     made = _Made(tasks)
     for task in tasks:
@@ -87,7 +120,7 @@ def finished_here(tasks: Sequence[Task]) -> Iterator[tuple[Task, Any]]:
         yield task, result
 
 
-def finished_by_processes(tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, Any]]:
+def _finished_by_processes(tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, Any]]:
     """Yield each task and what it made as processes of this machine finish it; of those that can begin, the first does.
 
     A dead worker takes the pool with it: another one begins with what was not finished.
