@@ -66,8 +66,7 @@ def shown_progress() -> Iterator[Progress]:
         if done == 0:
             bars.reset(task)
         bars.update(task, completed=done, total=total, message=message)
-        now = time.monotonic()
-        if not has_bars and now >= next_line.get(title, 0.0):
+        if not has_bars and (now := time.monotonic()) >= next_line.get(title, 0.0):
             next_line[title] = now + SECONDS_BETWEEN_LINES
             _print_line(title, done, total, message, bars.tasks[task].time_remaining)
 

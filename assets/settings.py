@@ -12,8 +12,7 @@ from gelgap.assets import asset_path, load_preset
 from gelgap.assets.names import closest_name, one_line, quoted
 from gelgap.assets.toml_file import named_in_errors, read_toml
 
-# As pydantic has them.
-_LACKS = "field required"
+_LACKS = "field required"  # as pydantic has them
 _UNKNOWN = "extra inputs are not permitted"
 _FROM_VALUE_ERROR = "Value error, "
 # Where a field takes one of several models, pydantic says of which a problem is: `Peak`, or `function-after[…, Peak]`.

@@ -1,12 +1,12 @@
 """The body of a mesh file: its lower end, as far up as it is convex, in mm."""
 
 import logging
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gelgap.assets.extras import need_extra
 from gelgap.assets.toml_file import named_in_errors
 from gelgap.sim.indenter import Floats
 from gelgap.sim.rounded import from_triangles
@@ -114,8 +114,8 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
         raise ValueError("is no mesh but a CAD file; export STL, OBJ or GLB from the CAD program")
     if suffix in _GLTF_SUFFIXES and any(packing in path.read_bytes() for packing in _PACKINGS):
         raise ValueError("has compressed or quantised corners, which are not read; export it without")
-    if suffix == ".3mf":
-        need_extra("reading 3MF", "3mf", "lxml")
+    if suffix == ".3mf" and find_spec("lxml") is None:
+        raise ValueError("needs the package lxml; install with: pip install 'gelgap[3mf]'")
     try:
         scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()

@@ -24,9 +24,9 @@ from gelgap.data.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM,
 from gelgap.domains.domain import Domain
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
+from gelgap.domains.generation.run import run
 from gelgap.domains.generation.scheduler import check_answers, check_scheduler
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.generation.tasks import run
 from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, facts_of, make_recipes
 from gelgap.sim import ContactPath, PosePath
 

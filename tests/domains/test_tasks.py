@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from gelgap.assets.progress import silent
-from gelgap.domains.generation import tasks
-from gelgap.domains.generation.tasks import Task, run
+from gelgap.domains.generation import run, tasks
+from gelgap.domains.generation.tasks import Task
 
 OF_WORKERS = """
 import os
@@ -52,7 +52,7 @@ def task(key: str, make, *needs: str, kind: str = "solve") -> Task:
 
 
 def made_by(listed: list[Task], processes: int = 2) -> dict[str, object]:
-    return {task.key: made for task, made in tasks._finished_by_processes(listed, processes)}
+    return {task.key: made for task, made in run._finished_by_processes(listed, processes)}
 
 
 def test_each_task_gets_what_it_needs_in_processes_of_one_thread(of_workers) -> None:
@@ -72,6 +72,7 @@ def test_a_task_whose_worker_died_is_done_by_another(of_workers, tmp_path: Path)
 
 
 def test_a_task_that_no_worker_outlives_is_one_sentence(of_workers, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "RETRIES_AFTER_WORKER_DEATH", 1)
     monkeypatch.setattr(tasks, "RETRIES_AFTER_WORKER_DEATH", 1)
     with pytest.raises(RuntimeError, match=r"workers died 2 times at one task; .*start fewer"):
         made_by([task("deadly", of_workers.dies)], 1)
@@ -95,7 +96,7 @@ def test_a_solution_is_dropped_after_the_last_batch_that_needs_it(monkeypatch: p
     sources = {key: SimpleNamespace(solves=[SimpleNamespace(key=key, run=solve)]) for key in "abc"}
     plan = SimpleNamespace(batches=batches, solves="abc", sources=sources)
     monkeypatch.setattr(tasks, "render_batch", lambda *_: [len(alive)])
-    assert list(run(plan, silent, "synchronous", None)) == [2, 1, 1]
+    assert list(run.run(plan, silent, "synchronous", None)) == [2, 1, 1]
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(
@@ -107,7 +108,7 @@ def test_no_worker_is_started_that_has_nothing_to_do(
         asked.append(processes)
         raise RuntimeError("none starts")
 
-    monkeypatch.setattr(tasks, "_finished_by_processes", none_starts)
+    monkeypatch.setattr(run, "_finished_by_processes", none_starts)
     with pytest.raises(RuntimeError, match="none starts"):
         make(tmp_path, ("mb1i2",), scheduler=None, workers=64)
     assert 1 <= asked[0] < 64

@@ -129,7 +129,7 @@ def test_what_cannot_be_pressed_is_refused_in_a_sentence(
 
 
 def test_3mf_without_lxml_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gelgap.assets.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("gelgap.sim.mesh_file.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"body.3mf.*needs the package lxml; .*pip install 'gelgap\[3mf\]'"):
         ConvexMesh.load(written(tmp_path / "body.3mf", BOX))
 
