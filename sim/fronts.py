@@ -1,8 +1,9 @@
 """Condensation of a gel's linear equation onto its kept vertices, by a multifrontal Cholesky factor of all others.
 
 One compiled call eliminates all dense fronts by LAPACK (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992,
-SIAM Rev. 34:82). The door is `assembly_tree` and `Condensation`, which know sparse matrices alone, no gel.
-`python -m gelgap.benchmarks.physics.cholesky` compares it with CHOLMOD.
+SIAM Rev. 34:82). The door is `assembly_tree` and `Condensation`: no gel behind it.
+It saves no time: a ball's gel at `draft` (6246 dofs) takes 27 ms, as does CHOLMOD's factor of it (SuperLU: 207), a
+solution 3.9 ms beside 2.4 (`benchmarks/physics/cholesky.py`). It gives the condensed matrix, without a library more.
 """
 
 import ctypes
