@@ -106,7 +106,7 @@ READERS: dict[str, Callable[[Path], PressSet]] = {
 
 def find_sets(folder: Path) -> dict[str, Callable[[], PressSet]]:
     """Return what reads each set that lies in a folder or below it, by the set's place, in order."""
-    found = {}
+    found: dict[str, Callable[[], PressSet]] = {}
     for path in sorted({file.parent for mark in READERS for file in folder.rglob(mark)}):
         mark = next(mark for mark in READERS if (path / mark).is_file())
         found[str(path.relative_to(folder))] = partial(READERS[mark], path)

@@ -128,14 +128,15 @@ def handed_in(
 
 def _judged(own: pd.DataFrame, places: pd.DataFrame, study: Study, name: str) -> pd.DataFrame | str:
     rows = []
-    for place, start in places.iterrows():
-        test = study.frames_of(dict(zip(_PLACE, place, strict=True)) | dict(start)).target_test
+    for start in places.reset_index().to_dict("records"):
+        place = start["target"], start["seed"]
+        test = study.frames_of(start).target_test
         predicted = np.asarray(own.loc[place, "predicted_n"])
         if predicted.shape != test.force_n.shape or not np.isfinite(predicted).all():
             return f"has no finite prediction for each of the {len(test)} test frames of {place[0]}, seed {place[1]}"
         found = evaluate_predictions(test.force_n, predicted, test.force_range_n)
         known = {"method": name, "mae_n": found.mae_n, "r2": found.r2}
-        rows.append(dict(start) | dict(zip(_PLACE, place, strict=True)) | known)
+        rows.append(start | known)
     return with_errors(pd.DataFrame(rows))
 
 

@@ -125,7 +125,7 @@ def contact_path(role: Role) -> PosePath:
     columns, rows = LATTICE
     x_mm, y_mm = (np.linspace(-half, half, n) for half, n in zip(HALF_EXTENT_MM, LATTICE, strict=True))
     cells = [(i, j) for j in range(rows) for i in range(columns) if (i + j) % 2 == ROLES.index(role)]
-    poses = []
+    poses: list[Pose] = []
     for number, (i, j) in enumerate(cells):
         point_x_mm, point_y_mm = round(float(x_mm[i]), 4), round(float(y_mm[j]), 4)
         levels = rng.permutation(LEVELS)

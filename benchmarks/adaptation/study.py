@@ -37,6 +37,7 @@ from gelgap.domains.recipe import recipe_of
 RUNS, PROFILE = "runs.jsonl", "benchmark"
 OUT = Path("benchmark-results/adaptation") / PROFILE
 _BAD_INPUT, _INTERRUPTED = 2, 130
+_SHOWN = (*protocol.SHOWABLE, *protocol.DRAWN_LIGHTS)
 _CONTROLS = {"adabn": protocol.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
 _RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
 
@@ -192,9 +193,10 @@ class Study:
 
     def frames_of(self, run: Setting) -> SplitFrames:
         """Return the frames of a run, divided for training and judging: the same contacts, whatever is shown."""
-        *sources, target = self.domains_of(run)
+        *sources, stored = self.domains_of(run)
+        target: LabelledFrames = stored
         if run["data"] == protocol.LABEL_SHIFT:
-            target = protocol.with_shifted_labels(target)
+            target = protocol.with_shifted_labels(stored)
         source = sources[0] if len(sources) == 1 else join_domains(sources)
         return split_for_training(source, target, self.profile_of(run).replace(input="pictures"), run["seed"])
 
@@ -234,7 +236,10 @@ def configuration_of(profile: Profile, *data: Any) -> str:
 
 @cache
 def _domain(folder: Path) -> GeneratedDomain:
-    return open_domain(folder)
+    domain = open_domain(folder)
+    if not isinstance(domain, GeneratedDomain):
+        raise ValueError(f"{folder} is no domain that gelgap generated")
+    return domain
 
 
 def begun_by_touches(frames: SplitFrames, source: LabelledFrames, target: LabelledFrames) -> SplitFrames:
@@ -354,9 +359,9 @@ class Choices:
     """By default the script's own."""
     methods: tuple[str, ...] = ()
     """Names, or your own as module:Class or file.py:Class, each with its controls; by default the script's own."""
-    groups: tuple[Literal[*protocol.KNOWN_GROUPS], ...] = ()
+    groups: tuple[Literal[*protocol.KNOWN_GROUPS], ...] = ()  # type: ignore[valid-type]  # tyro reads them when it runs
     """SOURCE:TARGET; by default the script's own."""
-    inputs: tuple[Literal[*protocol.SHOWABLE, *protocol.DRAWN_LIGHTS], ...] = ()
+    inputs: tuple[Literal[*_SHOWN], ...] = ()  # type: ignore[valid-type]  # tyro reads them when it runs
     """What networks are shown, or the random lights of their source. For `touch` a straight touch of each point comes
     first, which is not judged."""
     workers: int | None = None

@@ -75,10 +75,10 @@ def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
     plain, adabn = runs[runs["method"] == PLAIN], runs[runs["method"] == "adabn"]
     rules = []
     for name in BASELINES:
-        error, r2 = f"baselines_mae_n.{name}", f"baselines_r2.{name}"
-        if error in plain and r2 in plain:
-            known = plain.dropna(subset=[error, r2])
-            rules.append(known.assign(method=name, mae_n=known[error], r2=known[r2]))
+        columns = [f"baselines_mae_n.{name}", f"baselines_r2.{name}"]
+        if set(columns) <= set(plain):
+            known = plain.dropna(subset=columns)
+            rules.append(known.assign(method=name, mae_n=known[columns[0]], r2=known[columns[1]]))
     if len(adabn):
         error = adabn["constant_mean_n"].str[:2] + adabn["mae_n"].str[2:]
         r2 = adabn[f"baselines_r2.{CONSTANT}"].str[:2] + adabn["r2"].str[2:]
@@ -105,7 +105,7 @@ def counted(runs: pd.DataFrame, values: str | list[str] = "error_n") -> pd.DataF
     there = runs["method"].unique()
     methods = [method for method in dict.fromkeys([*RULES, *protocol.METHODS, *there]) if method in there]
     table = table.reindex(columns=methods, level="method" if isinstance(values, list) else None)
-    table = table.reindex([name for name in NAMES if name in table.index.levels[0]], level="group")
+    table = table.reindex([name for name in NAMES if name in table.index.unique("group")], level="group")
     required = table.columns.get_level_values("method") != UPPER_BOUND
     return table[table.loc[:, required].notna().all(axis=1)]
 
@@ -334,8 +334,10 @@ def upper_bound_table(bounds: pd.DataFrame) -> ResultTable:
 def in_order(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs by what they show and by method, in the protocol's order; methods from outside come last."""
     methods = list(dict.fromkeys([*protocol.METHODS, *runs["method"]]))
-    ranks_of = {"shown": protocol.SHOWN.index, "method": methods.index}
-    return runs.sort_values(["shown", "method"], key=lambda own: own.map(ranks_of[own.name]), kind="stable")
+    places = runs.assign(
+        shown=runs["shown"].map(protocol.SHOWN.index), method=runs["method"].map(methods.index)
+    )
+    return runs.loc[places.sort_values(["shown", "method"], kind="stable").index]
 
 
 def worth_table(
@@ -346,7 +348,8 @@ def worth_table(
     `bounds` has the upper bounds by input: on the same input, or on pictures where none was trained on it.
     """
     pictures = with_rules(runs[runs["shown"] == "pictures"])
-    found, orders = [], []
+    found: list[pd.DataFrame] = []
+    orders: list[str] = []
     for name, own in runs.groupby("shown", sort=False):
         start = pictures[pictures["group"].isin(own["group"])]
         if not found:

@@ -88,11 +88,24 @@ class Case:
     def solve(self) -> Solve:
         return self.plan.solves[0]
 
+    @property
+    def known(self) -> Truth:
+        """The true solution.
+
+        Raises
+        ------
+        ValueError
+            If none is known.
+        """
+        if self.truth is None:
+            raise ValueError(f"{self.name} has no known solution")
+        return self.truth
+
     def down_to(self, depth_mm: float) -> "Case":
         """Return the part of a press that is no deeper."""
         count = sum(pose.depth_mm <= depth_mm for pose in self.poses)
-        kept = {name: getattr(self.truth, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
-        return replace(self, poses=self.poses[:count], truth=replace(self.truth, **kept))
+        kept = {name: getattr(self.known, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
+        return replace(self, poses=self.poses[:count], truth=replace(self.known, **kept))
 
     def states(self, solution: Solution) -> tuple[SolvedPose, ...]:
         """Return the membrane at each pose."""
@@ -117,8 +130,9 @@ def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:
     ]
     solves = {key_of(setting): case.solve for setting, case in zip(settings, ordered, strict=True)}
     found = run_missing(partial(_solved, solves), settings, folder / "solved.jsonl", tasks_per_worker=1)
-    found["solution"] = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
-    found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
+    solutions = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
+    states = [case.states(own) for case, own in zip(ordered, solutions, strict=True)]
+    found = found.assign(solution=solutions, states=states)
     return dict(zip(ordered, found.itertuples(), strict=True))
 
 
