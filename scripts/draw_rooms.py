@@ -34,7 +34,7 @@ def room_folders() -> dict[str, Path]:
 
 
 def read_arrows(folders: dict[str, Path]) -> dict[str, set[str]]:
-    """Return which other rooms the files of each room import, also inside functions and for types."""
+    """Return which other rooms each room imports, also inside functions, for types, and by a name in a string."""
     arrows = {}
     for room, folder in folders.items():
         imported = set()
@@ -46,9 +46,16 @@ def read_arrows(folders: dict[str, Path]) -> dict[str, set[str]]:
                     imported |= {f"gelgap.{alias.name}" for alias in node.names}
                 elif isinstance(node, ast.ImportFrom):
                     imported.add(node.module or "")
-        others = {name.split(".")[1] for name in imported if name.startswith("gelgap.")}
+                elif isinstance(node, ast.Call) and called_name(node) in ("resolve_name", "import_module"):
+                    imported |= {text.value for text in ast.walk(node) if isinstance(text, ast.Constant)}
+        others = {name.split(".")[1] for name in imported if str(name).startswith("gelgap.")}
         arrows[room] = others & folders.keys() - {room}
     return arrows
+
+
+def called_name(call: ast.Call) -> str:
+    """Return the last name of what is called: `resolve_name` of `pkgutil.resolve_name(…)`."""
+    return getattr(call.func, "attr", getattr(call.func, "id", ""))
 
 
 def reached(room: str, arrows: dict[str, set[str]]) -> set[str]:
@@ -84,9 +91,9 @@ def rows_from_below(arrows: dict[str, set[str]]) -> list[list[str]]:
 
 
 def caption(folder: Path) -> list[str]:
-    """Return what a room is, in lines: its docstring up to the first colon."""
+    """Return what a room is, in lines: its docstring up to the first colon or comma."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
-    return textwrap.wrap(re.split(r"[:.]", text)[0], 30)
+    return textwrap.wrap(re.split(r"[:.,]", text)[0], 30)
 
 
 def draw(arrows: dict[str, set[str]], captions: dict[str, list[str]]) -> str:

@@ -19,8 +19,11 @@ def test_arrows_are_read_from_imports_of_every_kind(tmp_path: Path) -> None:
     (tmp_path / "attic/b.py").write_text(
         "import gelgap.stairs\nfrom gelgap import attic, hall\nimport numpy\n"
     )
-    folders = {room: tmp_path / room for room in ("attic", "hall", "stairs", "cellar")}
-    assert SCRIPT.read_arrows(folders)["attic"] == {"cellar", "hall", "stairs"}
+    (tmp_path / "attic/c.py").write_text(
+        "def named(door):\n    return resolve_name(f'gelgap.garden.{door}')\n"
+    )
+    folders = {room: tmp_path / room for room in ("attic", "hall", "stairs", "cellar", "garden")}
+    assert SCRIPT.read_arrows(folders)["attic"] == {"cellar", "garden", "hall", "stairs"}
 
 
 @pytest.fixture

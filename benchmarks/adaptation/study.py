@@ -32,7 +32,7 @@ from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.data import LabelledFrames, join_domains, open_domain
 from gelgap.data.frames.stored import GeneratedDomain
 from gelgap.domains import DomainRecipe, generate_recipes
-from gelgap.domains.recipe import recipe_of
+from gelgap.domains.measured_gap import recipe_of
 
 RUNS, PROFILE = "runs.jsonl", "benchmark"
 OUT = Path("benchmark-results/adaptation") / PROFILE

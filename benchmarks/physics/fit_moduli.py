@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from gelgap.benchmarks.common import show
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.physics.axisymmetric import Press, solve_press
 from gelgap.sim.scene import Moduli, equivalent_moduli
 
@@ -155,9 +155,9 @@ def check() -> pd.DataFrame:
 def main() -> None:
     """Print the fit and the check."""
     modulus, poisson, table = fit()
-    show("Fit: R 1.5 mm on 3 mm", table)
+    ResultTable.of("Fit: R 1.5 mm on 3 mm", table).show()
     print(f"modulus = [{modulus[0]:.4f}, {modulus[1]:.4f}]\npoisson = [{poisson[0]:.4f}, {poisson[1]:.4f}]")
-    show("Check: what the fit did not use", check())
+    ResultTable.of("Check: what the fit did not use", check()).show()
 
 
 if __name__ == "__main__":
