@@ -56,7 +56,7 @@ from gelgap.adapt.network import (
 )
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.selection import effective_rank
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
 from gelgap.data import LabelledFrames, with_labels
 from gelgap.data.frames.dataset import pictures_alone
 
@@ -73,7 +73,7 @@ def train_source(
     *,
     weights: str | Path | None = None,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> ForceModel:
     """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
@@ -154,7 +154,7 @@ def adapt(
     seed: int | None = None,
     *,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -282,7 +282,7 @@ def train(
     *,
     title: str,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> list[EpochRecord]:
     """Train a network in place by SGD and return what the epochs did.

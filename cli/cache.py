@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.sim.solution import CacheEntry
+    from gelgap.sim.cache import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class Cache(opt.Command):
         from gelgap.assets.locks import cache_folder
         from gelgap.data.frames.stored import clear_picture_cache
         from gelgap.render.light.spectra import clear_led_cache
-        from gelgap.sim.solution import cache_entries, cached_files, clear_cache
+        from gelgap.sim.cache import cache_entries
+        from gelgap.sim.solution import cached_files, clear_cache
 
         files, verb = cached_files(), "deleted" if self.clear else "holds"
         size = sum(file.stat().st_size for file in files)

@@ -20,6 +20,7 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
+from gelgap.sim.library import LibraryPose, PoseState
 
 Row = dict[str, Any]
 # One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.
@@ -61,19 +62,20 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     groups, frames = list(alike.values()), range(batch.start, batch.start + len(batch))
     # A membrane is rastered once for all lights of a group; a group has as many lights as renderers are kept.
     for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
-        source = solutions.get(batch.contacts.source_key(place))
-        states: dict[tuple[float, float], MembraneState] = {}
+        states: dict[tuple[float, float], PoseState] = {}
         for recipes in groups[start : start + KEPT_RENDERERS]:
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:
-                states[extent] = batch.contacts.state(place, source, extent)
+                states[extent] = batch.contacts.state(place, solutions, extent)
             state, reason = states[extent], None
             cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     coarse_n = None
-                    if any("traction" in recipe.columns for recipe in recipes):
+                    wants_traction = any("traction" in recipe.columns for recipe in recipes)
+                    # Recipes ask no library for it.
+                    if wants_traction and not isinstance(state, LibraryPose):
                         coarse_n = state.traction().coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
@@ -86,8 +88,8 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                 rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
                 if reason is not None:
                     refused[recipe.name][frame] = reason
-    library = batch.contacts.library and solutions.get(batch.contacts.library.key)
-    errors = library.errors if library and library.held_out is not None else None
+    library = batch.contacts.library
+    errors = solutions[library.key].errors if library else None
     return [
         _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
         for recipe in batch.recipes
@@ -180,18 +182,17 @@ def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]
     bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
 
     def cells(frame: int, state: MembraneState) -> Row:
-        force_n = np.asarray(state.force_n, float) + bias_n
+        read_n = np.asarray(state.force_n, float) + bias_n
         if noise_n:
             rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
-            force_n = force_n + noise_n * rng.standard_normal(3)
+            read_n = read_n + noise_n * rng.standard_normal(3)
         # Adding zero turns −0.0, which some readers show, into 0.0.
-        force_n = tuple(float(value) + 0.0 for value in force_n)
+        force_n = tuple(float(value) + 0.0 for value in read_n)
         turn, place = divmod(frame, len(poses))
-        (travel, step), indenter = travels[place], recipe.indenters[turn]
+        travel, step = travels[place]
         travel += turn * last_travel
-        contact = Contact(
-            frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label
-        )
+        body = recipe.indenters[turn].label
+        contact = Contact(frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, body)
         return {name: LABEL_MAKERS[name](contact) for name in names}
 
     return cells

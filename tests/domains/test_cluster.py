@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gelgap.assets.progress import silent
+from gelgap.assets.progress import hidden_progress
 from gelgap.domains.generation.cluster import dask_client, run
 
 
@@ -141,7 +141,7 @@ def test_a_solution_is_dropped_after_the_last_batch_that_needs_it(monkeypatch: p
     }
     plan = SimpleNamespace(batches=batches, solves="abc", sources=sources)
     monkeypatch.setattr("gelgap.domains.generation.cluster.render_batch", lambda *_: [len(alive)])
-    assert list(run(plan, silent, "synchronous", None)) == [2, 1, 1]
+    assert list(run(plan, hidden_progress, "synchronous", None)) == [2, 1, 1]
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
