@@ -24,7 +24,7 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.checksums import sha256
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
 from gelgap.assets.settings import Settings
 from gelgap.data import LabelledFrames, Labels, join_domains, open_domain, with_labels
 from gelgap.data.frames.dataset import labelled_frames
@@ -227,7 +227,7 @@ def pretrain(
     profile: str | Profile = "cpu",
     seed: int = 0,
     *,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> Pretraining:
     """Train stage 1 on many domains, and judge it on the last tenth of them, which it does not see.
 
@@ -275,7 +275,7 @@ def pretrain_on_stream(
     seed: int = 0,
     *,
     frames_per_epoch: int = 3600,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> Pretraining:
     """Train stage 1 on a stream, every epoch on samples that it has not seen, and judge it on others of other lights.
 

@@ -34,7 +34,7 @@ from gelgap.adapt.split import FRAMES_SHOWN, SplitFrames, size_notes, split_for_
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
 from gelgap.data import LabelledFrames, open_domain
 from gelgap.data.facts import unseen_differences
 from gelgap.data.frames.dataset import labelled_frames
@@ -66,7 +66,7 @@ def adapt_folders(
     classes_from_force: int | None = None,
     weights: str | Path | None = None,
     out_dir: str | Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> list[Run]:
     """Train stage 1 on a source, adapt to each target with each method, evaluate on the targets' test frames.
 
@@ -221,7 +221,7 @@ class Stage1:
     seed: int = 0
     weights: str | Path | None = None
     out: Path | None = None
-    progress: Progress = silent
+    progress: Progress = hidden_progress
 
     @cached_property
     def key(self) -> str:

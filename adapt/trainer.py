@@ -53,7 +53,7 @@ from gelgap.adapt.network import (
     torch_threads,
 )
 from gelgap.adapt.profile import Profile
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
 from gelgap.data import LabelledFrames, Labels, with_labels
 from gelgap.data.frames.dataset import pictures_alone
 
@@ -68,7 +68,7 @@ def train_source(
     *,
     weights: str | Path | None = None,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> ForceModel:
     """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
@@ -153,7 +153,7 @@ def adapt(
     seed: int | None = None,
     *,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -247,7 +247,7 @@ def train(
     *,
     title: str,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> list[EpochRecord]:
     """Train a network in place by SGD and return what the epochs did.

@@ -24,7 +24,7 @@ class Progress(Protocol):
 _SHOWN: ContextVar[Progress | None] = ContextVar("shown", default=None)
 
 
-def silent(title: str, done: int, total: int, message: str = "") -> None:
+def hidden_progress(title: str, done: int, total: int, message: str = "") -> None:
     """Say nothing."""
 
 
@@ -37,7 +37,7 @@ def shown_progress() -> Iterator[Progress]:
     shown = _SHOWN.get()
     in_main_thread = threading.current_thread() is threading.main_thread()
     if shown is not None or not in_main_thread or multiprocessing.parent_process() is not None:
-        yield shown or silent
+        yield shown or hidden_progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeRemainingColumn

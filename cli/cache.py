@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.sim.solution import CacheEntry
+    from gelgap.sim.cache import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Cache(opt.Command):
         """List or clear the cache."""
         from gelgap.assets.locks import cache_folder
         from gelgap.data.frames.stored import clear_picture_cache
-        from gelgap.sim.solution import cache_entries, cached_files, clear_cache
+        from gelgap.sim.cache import cache_entries
+        from gelgap.sim.solution import cached_files, clear_cache
 
         files = cached_files()
         verb = "deleted" if self.clear else "holds"

@@ -124,7 +124,7 @@ class Press(opt.Command):
             "torque_n_mm": state.torque_n_mm.tolist(),
             "contact_radius_mm": float(state.contact_radius_mm),
             "converged": bool(state.converged),
-            "indenter_mm": state.contact_solve.indenter_mm.tolist(),
+            "indenter_mm": state.indenter_mm.tolist(),
             **{name: getattr(diagnostics, name) for name in DIAGNOSTICS},
             "wall_s": time.perf_counter() - started,
         }

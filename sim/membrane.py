@@ -307,25 +307,17 @@ class MembraneCubic:
     """The membrane's displacement between a solution's vertices: a C¹ piecewise cubic, beyond them that of the rim.
 
     Of a body that is not round it is taken at each point of a grid. A table would round off such edges by up to 20 µm,
-    as it did for a box of 5 × 7 mm, and takes twice as long to make. With `cells`, it is a cubic in these where the
-    contact is.
+    as it did for a box of 5 × 7 mm, and takes twice as long to make.
     """
 
     rest_mm: Floats
     displacement_mm: Floats
-    cells: Cells | None = None
 
     @cached_property
     def _cubic(self) -> Any:
         from scipy.interpolate import CloughTocher2DInterpolator
 
         return CloughTocher2DInterpolator(self.rest_mm, self.displacement_mm)
-
-    @cached_property
-    def _cubic_in_cells(self) -> Any:
-        from scipy.interpolate import CloughTocher2DInterpolator
-
-        return CloughTocher2DInterpolator(self.cells.up_to(self.rest_mm), self.displacement_mm)
 
     @cached_property
     def _edges(self) -> Floats:
@@ -348,22 +340,39 @@ class MembraneCubic:
 
     def at(self, points_mm: Floats) -> Floats:
         """Return the displacement (…, 3) at points (…, 2)."""
-        points = self.within(points_mm)
-        values = self._cubic(points)
-        if self.cells is not None:
-            share = self.cells.share(points)
-            near = share > 0
-            in_cells = self._cubic_in_cells(self.cells.up_to(points[near]))
-            values[near] += share[near, None] * (in_cells - values[near])
+        return self._inside(self.within(points_mm))
+
+    def _inside(self, points_mm: Floats) -> Floats:
+        return self._cubic(points_mm)
+
+
+@dataclass(frozen=True)
+class CubicInCells(MembraneCubic):
+    """The same, as a cubic in cells where the contact is."""
+
+    cells: Cells
+
+    @cached_property
+    def _cubic_in_cells(self) -> Any:
+        from scipy.interpolate import CloughTocher2DInterpolator
+
+        return CloughTocher2DInterpolator(self.cells.up_to(self.rest_mm), self.displacement_mm)
+
+    def _inside(self, points_mm: Floats) -> Floats:
+        values = super()._inside(points_mm)
+        share = self.cells.share(points_mm)
+        near = share > 0
+        in_cells = self._cubic_in_cells(self.cells.up_to(points_mm[near]))
+        values[near] += share[near, None] * (in_cells - values[near])
         return values
 
 
-def membrane_between(solution: Solution, record: Record) -> "MembraneCubic | PolarTable":
+def membrane_between(solution: Solution, record: Record) -> MembraneCubic | PolarTable:
     """Return the membrane between a record's vertices: a table, which is faster, under a round body."""
     if solution.problem.is_round:
         return polar_table(solution, record)
     rest, displacement, _ = solution.whole_surface(record)
-    return MembraneCubic(rest, displacement, cells_between(solution, record))
+    return CubicInCells(rest, displacement, cells_between(solution, record))
 
 
 def polar_table(solution: Solution, record: Record) -> PolarTable:
@@ -398,7 +407,7 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     return PolarTable(values.astype(np.float32), solution.problem.symmetric)
 
 
-def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
+def shares_mm2(places_mm: NDArray[np.floating], triangles: NDArray[np.integer]) -> Floats:
     """Return the share (n,) of the area of triangles (m, 3) that belongs to each of their corners (n, 3)."""
     first, second, third = (places_mm[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2

@@ -134,7 +134,7 @@ def _around_axis(problem: ContactProblem) -> tuple[DiscGrid, float]:
         sectors=4 * round(size.sectors * (contact + aside) / contact / 4),
         ring_growth=size.ring_growth,
         largest_mm=_SIZES.largest_cell * thickness,
-        axis_mm=tuple(axis),
+        axis_mm=(axis[0], axis[1]),
         direction=direction,
         sizes=sizes,
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 
@@ -105,6 +105,12 @@ QUALITIES = {
 _MOST_CELLS_ALONG = {name: table["most_cells_along"] for name, table in MESHES["qualities"].items()}
 
 
+def _vector(values: Sequence[float]) -> Waypoint:
+    """Return three floats; adding 0 turns −0, which would have another key, into 0."""
+    x, y, z = (float(value) + 0.0 for value in values)
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class ContactProblem:
     """An indenter led through waypoints over a gel, in a frame with the contact point as its origin.
@@ -145,9 +151,7 @@ class ContactProblem:
         """
         if scene.quality not in QUALITIES:
             raise ValueError(unknown_name("quality", scene.quality, QUALITIES))
-        # Adding 0 turns −0, which would have another key, into 0.
-        commands = [tuple(float(c) + 0.0 for c in command) for command in commands]
-        turns = tuple(command[3:] for command in commands)
+        turns = any(any(command[3:]) for command in commands)
         gel = scene.elastomer
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
@@ -155,13 +159,14 @@ class ContactProblem:
             moduli=gel.mujoco_moduli,
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
-            indenter=scene.indenter_in_frame(edges=pad_mm is not None),
+            # Every shape is a part of `AnyIndenter`.
+            indenter=cast(AnyIndenter, scene.indenter_in_frame(edges=pad_mm is not None)),
             mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
             pad_mm=pad_mm,
-            waypoints_mm=tuple(command[:3] for command in commands),
+            waypoints_mm=tuple(_vector(command[:3]) for command in commands),
             parents=tuple(parents),
             quality=QUALITIES[scene.quality],
-            turns_deg=turns if any(map(any, turns)) else (),
+            turns_deg=tuple(_vector(command[3:]) for command in commands) if turns else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )
         if problem.covers_pad and gel.poisson_ratio > LARGEST_POISSON_RATIO:
@@ -194,6 +199,15 @@ class ContactProblem:
         """
         parent = self.parents[record]
         return (*(self.way(parent) if parent >= 0 > self.waypoints_mm[record][2] else ()), record)
+
+    def straight_down(self, record: int) -> int:
+        """Return the last waypoint on the way to one before the indenter goes sideways or turns."""
+        press, *others = self.way(record)
+        for waypoint in others:
+            if self.commands[waypoint, [0, 1, 3, 4, 5]].any():
+                break
+            press = waypoint
+        return press
 
     @cached_property
     def stands(self) -> tuple[tuple[AnyIndenter, float], ...]:

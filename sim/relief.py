@@ -137,9 +137,9 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
         return total / np.maximum(weight, 1e-9)
 
     # From place to place: over two of them short waves would look a third less steep.
-    square = sum(np.diff(depth / body.spacing_mm, axis=axis, append=0.0) ** 2 for axis in (0, 1))
+    along_y, along_x = (np.diff(depth / body.spacing_mm, axis=axis, append=0.0) for axis in (0, 1))
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
-    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(square), 0.0) / 2)
+    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(along_y**2 + along_x**2), 0.0) / 2)
     mean_mm = mean_around(depth)
     # A sinusoid's length is π E* a / p*; a grid shows no waves shorter than two spacings.
     length_mm = math.pi * stiffness_mpa * mean_mm / np.maximum(flattening_mpa, 1e-12)

@@ -110,8 +110,10 @@ class Elastomer(PresetSettings):
     @field_validator("static_friction")
     @classmethod
     def _check_static_friction(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None:
+            return None
         kinetic = info.data.get("friction", value)
-        if value is not None and (value < kinetic or value > kinetic == 0):
+        if value < kinetic or value > kinetic == 0:
             raise ValueError(f"must be at least friction, {kinetic:g}, and equal to it if that is 0")
         return value
 

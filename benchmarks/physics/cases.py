@@ -23,7 +23,7 @@ from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 from gelgap.sim.plan import Solve, SolvePlan, plan_visit
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
-from gelgap.sim.solved import SolvedPose
+from gelgap.sim.solved import NoContact, SolvedPose
 
 Floats = NDArray[np.float64]
 SLOWEST_FIRST = ("fine", "standard", "draft")
@@ -107,9 +107,10 @@ class Case:
         kept = {name: getattr(self.known, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
         return replace(self, poses=self.poses[:count], truth=replace(self.known, **kept))
 
-    def states(self, solution: Solution) -> tuple[SolvedPose, ...]:
+    def states(self, solution: Solution) -> tuple[SolvedPose | NoContact, ...]:
         """Return the membrane at each pose."""
-        return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
+        solutions = {self.solve.key: solution}
+        return tuple(self.plan.state(index, solutions) for index in range(len(self.poses)))
 
 
 def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:

@@ -21,8 +21,7 @@ from gelgap.domains.renderers import KEPT_RENDERERS, kept_renderer, renderer_of
 from gelgap.render import Illumination, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
-from gelgap.sim.library import LibraryPose
-from gelgap.sim.solved import SolvedPose
+from gelgap.sim.library import LibraryPose, PoseState
 
 Row = dict[str, Any]
 
@@ -62,20 +61,21 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     frames = range(batch.start, batch.start + len(batch))
     # A membrane is rastered once for all lights of a group; a group has as many lights as renderers are kept.
     for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
-        source = solutions.get(batch.contacts.source_key(place))
-        states: dict[tuple[float, float], LibraryPose | SolvedPose] = {}
+        states: dict[tuple[float, float], PoseState] = {}
         for recipes in groups[start : start + KEPT_RENDERERS]:
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:
-                states[extent] = batch.contacts.state(place, source, extent)
+                states[extent] = batch.contacts.state(place, solutions, extent)
             state = states[extent]
             reason: str | None = None
             cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     coarse_n = None
-                    if any("traction" in recipe.columns for recipe in recipes):
+                    wants_traction = any("traction" in recipe.columns for recipe in recipes)
+                    # Recipes ask no library for it.
+                    if wants_traction and not isinstance(state, LibraryPose):
                         coarse_n = state.traction().coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
@@ -88,8 +88,8 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                 rows[recipe.name].append(labels_of[recipe.name](frame, state) | picture)
                 if reason is not None:
                     refused[recipe.name][frame] = reason
-    library = batch.contacts.library and solutions.get(batch.contacts.library.key)
-    errors = library.errors if library and library.held_out is not None else None
+    library = batch.contacts.library
+    errors = solutions[library.key].errors if library else None
     return [
         _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
         for recipe in batch.recipes
@@ -186,12 +186,10 @@ def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]
         # Adding zero turns −0.0, which some readers show, into 0.0.
         force_n = tuple(float(value) + 0.0 for value in read_n)
         turn, place = divmod(frame, len(poses))
-        (travel, step) = travels[place]
-        indenter = recipe.indenters[turn]
+        travel, step = travels[place]
         travel += turn * last_travel
-        contact = Contact(
-            frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label
-        )
+        body = recipe.indenters[turn].label
+        contact = Contact(frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, body)
         return {name: LABEL_MAKERS[name](contact) for name in names}
 
     return cells

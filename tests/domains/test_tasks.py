@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gelgap.assets.progress import silent
+from gelgap.assets.progress import hidden_progress
 from gelgap.domains.generation import run, tasks
 from gelgap.domains.generation.tasks import Task
 
@@ -96,7 +96,7 @@ def test_a_solution_is_dropped_after_the_last_batch_that_needs_it(monkeypatch: p
     sources = {key: SimpleNamespace(solves=[SimpleNamespace(key=key, run=solve)]) for key in "abc"}
     plan = SimpleNamespace(batches=batches, solves="abc", sources=sources)
     monkeypatch.setattr(tasks, "render_batch", lambda *_: [len(alive)])
-    assert list(run.run(plan, silent, "synchronous", None)) == [2, 1, 1]
+    assert list(run.run(plan, hidden_progress, "synchronous", None)) == [2, 1, 1]
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(
