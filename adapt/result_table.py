@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from gelgap.assets import html_page
+from gelgap.assets.pages import html_page
 from gelgap.assets.whole_file import write_whole
 
 if TYPE_CHECKING:

@@ -1,8 +1,6 @@
 """Presets and files: what ships with gelgap, and the functions by which every room reads and writes."""
 
 import tomllib
-from base64 import b64encode
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -58,26 +56,3 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
             raise ValueError(left(f"{kind[:-1]} preset", name, f"it is called {_RENAMED[kind, name]}"))
         raise ValueError(unknown_name(f"{kind[:-1]} preset", name, known, "known presets"))
     return tomllib.loads(asset_path(kind, f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def html_page(template: str, **values: Any) -> str:
-    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe.
-
-    A picture within the page is the bytes of its file, which the filter `base64` embeds.
-    """
-    return _environment().get_template(template).render(**values)
-
-
-@cache
-def _environment() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
-
-    environment = Environment(
-        loader=FileSystemLoader(asset_path("templates")),
-        autoescape=select_autoescape(["html"]),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["base64"] = lambda data: b64encode(data).decode()
-    return environment

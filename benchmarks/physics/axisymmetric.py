@@ -275,7 +275,8 @@ class Pad:
         weighted_dilation = self.volume[..., None] * dilation
         stiffness = b.transpose(0, 2, 1) @ ab
         stiffness += self.projected_mpa * weighted_dilation.transpose(0, 2, 1) @ (self.projection @ dilation)
-        return np.bincount(self.dofs.ravel(), force.ravel(), self.size), self._matrix(self.dofs, stiffness)
+        forces: Floats = np.bincount(self.dofs.ravel(), weights=force.ravel(), minlength=self.size)
+        return forces, self._matrix(self.dofs, stiffness)
 
     def iterate(self, u: Floats, depth_mm: float, stick_mm: Floats) -> Iterate:
         """Return the residual of displacements with the sphere at a depth, and what it is made of."""

@@ -19,7 +19,7 @@ from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
-from gelgap.benchmarks.common import show
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.physics.policy import NEW_TANGENTS, problem_of
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Floats
@@ -189,7 +189,7 @@ def main() -> None:
             size = f"{scene}, {quality}: {len(gel.dofs)} dofs, {gel.kept} kept"
             rows += [{"matrix": size, **row} for row in measure(gel)]
     exact = {"residual": "{:.0e}", "condensed, error": "{:.0e}"}
-    show("Factorisation of a gel's stiffness", pd.DataFrame(rows), formats=exact)
+    ResultTable.of("Factorisation of a gel's stiffness", pd.DataFrame(rows), formats=exact).show()
     if not any("CHOLMOD" in row["method"] for row in rows):
         print(MISSING)
 

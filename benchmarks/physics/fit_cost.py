@@ -15,9 +15,9 @@ import pandas as pd
 from scipy.optimize import nnls
 from threadpoolctl import threadpool_limits
 
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets import asset_path
 from gelgap.assets.toml_file import read_toml
-from gelgap.benchmarks.common import show
 from gelgap.sim import Box, Elastomer, Pose, Sharing, Sphere
 from gelgap.sim.cost import expected_core_s, expected_work
 from gelgap.sim.mesh import elimination_groups, mesh_for
@@ -123,14 +123,13 @@ def main() -> None:
     with threadpool_limits(limits=1, user_api="blas"):
         measure(todo[0])
         rows = pd.DataFrame([measure(problem) for problem in todo])
-    show("Measured", rows)
+    ResultTable.of("Measured", rows).show()
     file = read_toml(asset_path("fitted", "cost.toml"))
-    show(
-        "assets/fitted/cost.toml",
-        pd.DataFrame({"file": file, "fitted here": fit(rows)}).rename_axis("number"),
-    )
+    numbers = pd.DataFrame({"file": file, "fitted here": fit(rows)}).rename_axis("number")
+    ResultTable.of("assets/fitted/cost.toml", numbers).show()
     ratio = (rows["forecast_s"] / rows["core_s"]).quantile([0.0, 0.5, 1.0])
-    show("Forecast over core seconds", ratio.rename("ratio").to_frame().rename_axis("quantile"))
+    quantiles = ratio.rename("ratio").to_frame().rename_axis("quantile")
+    ResultTable.of("Forecast over core seconds", quantiles).show()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import nnls
 
-from gelgap.benchmarks.common import rms, show
+from gelgap.adapt.result_table import ResultTable
+from gelgap.benchmarks.common import rms
 from gelgap.benchmarks.physics.axisymmetric import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Truth, solved_cases
 from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, normal
@@ -178,7 +179,7 @@ def main() -> None:
     rows = random_errors(range(chosen.first, chosen.last), chosen.quality, KEPT)
     rows = rows[rows["usable"]]
     true = 100 * rows.groupby("quality")[list(ERRORS)].agg(rms)
-    show("True errors, rms %", true, f"{len(rows)} poses")
+    ResultTable.of("True errors, rms %", true, f"{len(rows)} poses").show()
     for error in ERRORS:
         print(f"    {variance_per_cause(rows, error)},  # {error}")
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import curve_fit
 
-from gelgap.benchmarks.common import show
+from gelgap.adapt.result_table import ResultTable
 from gelgap.benchmarks.physics.axisymmetric import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats
 from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION
@@ -148,8 +148,8 @@ def main() -> None:
         fitted, cases = force_ratios(FITTED, quality, mesh)
         a, b, c = stiffness(cases, fitted["mean ratio"])
         print(f"[{quality}] {mesh}: stiffness = [{a:.4f}, {b:.5f}, {c:.3f}]")
-        show("Fitted", fitted)
-        show("Check: what the fit did not use", force_ratios(CHECKS, quality, mesh)[0])
+        ResultTable.of("Fitted", fitted).show()
+        ResultTable.of("Check: what the fit did not use", force_ratios(CHECKS, quality, mesh)[0]).show()
 
 
 if __name__ == "__main__":

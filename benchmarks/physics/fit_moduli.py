@@ -106,13 +106,14 @@ def fit(
     """Return a and b of E′/E, c and d of ν′ (see `equivalent_moduli`), and the moduli that they are fitted to."""
     families = [stable_family(friction, mujoco_poisson_ratios, element_mm) for friction in frictions]
     moduli = []
-    for nu in gel_poisson_ratios:
+    for poisson_ratio in gel_poisson_ratios:
         gels = [
-            respond(Press(poisson_ratio=nu, friction=friction, element_mm=element_mm))
+            respond(Press(poisson_ratio=poisson_ratio, friction=friction, element_mm=element_mm))
             for friction in frictions
         ]
-        moduli.append(best_moduli(nu, gels, families))
-    nu, (ratio, poisson) = np.array(gel_poisson_ratios), np.array(moduli).T
+        moduli.append(best_moduli(poisson_ratio, gels, families))
+    nu = np.array(gel_poisson_ratios)
+    ratio, poisson = np.array(moduli).T
     x = 1 - 2 * nu
     basis = np.stack([x, x**2], axis=-1)
     modulus_fit = np.linalg.lstsq(basis, ratio - 1, rcond=None)[0]

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from gelgap.benchmarks.common import show
+from gelgap.adapt.result_table import ResultTable
 from gelgap.sim import Box, Elastomer, Pose, Sharing, Sphere
 from gelgap.sim.contact import ContactNewton
 from gelgap.sim.newton import POLICY, Policy, StaticNewton
@@ -115,7 +115,8 @@ def main() -> None:
     chosen = parser.parse_args()
     # Compiled code is loaded before anything is measured.
     solved(problem_of("ball, press", "draft"), POLICY)
-    show(f"Pieces of a load step's solve, at {chosen.quality}", measure(chosen.scenes, chosen.quality))
+    measured = measure(chosen.scenes, chosen.quality)
+    ResultTable.of(f"Pieces of a load step's solve, at {chosen.quality}", measured).show()
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gelgap.assets import html_page
 from gelgap.assets.names import quoted
+from gelgap.assets.pages import html_page
 from gelgap.data.formats.domain_folder import check_is_new, new_folder
 from gelgap.data.formats.pictures import encode_jpeg, encode_png
 from gelgap.data.formats.shards import OPTIONAL
