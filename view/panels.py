@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from gelgap.assets import html_page
+from gelgap.assets.pages import html_page
 from gelgap.data.formats.pictures import encode_jpeg
 from gelgap.domains.gap import DomainGap, markers_gap
 from gelgap.domains.recipe import shown_markers

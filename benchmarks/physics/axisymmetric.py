@@ -275,7 +275,7 @@ class Pad:
         weighted_dilation = self.volume[..., None] * dilation
         stiffness = b.transpose(0, 2, 1) @ ab
         stiffness += self.projected_mpa * weighted_dilation.transpose(0, 2, 1) @ (self.projection @ dilation)
-        forces: Floats = np.bincount(self.dofs.ravel(), weights=force.ravel(), minlength=self.size)
+        forces = np.bincount(self.dofs.ravel(), force.ravel(), self.size).astype(np.float64, copy=False)
         return forces, self._matrix(self.dofs, stiffness)
 
     def iterate(self, u: Floats, depth_mm: float, stick_mm: Floats) -> Iterate:
