@@ -92,11 +92,15 @@ def estimated_lag(
     for part in (is_rising, ~is_rising):
         errors = np.array([_mean_square(own[part] - line[part]) for own in pressed_n])
         fitting += [int(np.nanargmin(errors))] if np.isfinite(errors).any() else []
-    low, high = float(tried[min(fitting)]) - _LEAST_LAG, float(tried[max(fitting)]) + _LEAST_LAG
-    low, high = round(max(low, lags[0]), 1), round(min(high, lags[-1]), 1)
-    # Clocks as they are where these fit as well; else frames as they are, if the forces were measured with them.
-    simplest = [lag for lag in (0.0, round(float(tried[best]))) if low <= lag <= high]
-    lag = float(simplest[0] if simplest else tried[best])
+    least, most = tried[min(fitting)], tried[max(fitting)]
+    low = round(max(float(least) - _LEAST_LAG, lags[0]), 1)
+    high = round(min(float(most) + _LEAST_LAG, lags[-1]), 1)
+    # Clocks as they are where these fit as well; else, of one zero, a whole number if the log was made with the frames.
+    lag, whole_lag = float(tried[best]), float(np.round(tried[best]))
+    if low <= 0 <= high:
+        lag = 0.0
+    elif 0 in lags and least <= whole_lag <= most:
+        lag = whole_lag
     r = {
         own: _correlation(signal, pressed_n[tried == own][0]) for own in {lag, *([0.0] if 0 in lags else [])}
     }
