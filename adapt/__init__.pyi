@@ -1,4 +1,3 @@
-from .data import split_for_training as split_for_training
 from .evaluation import evaluate as evaluate
 from .few_labels import affine_correction as affine_correction
 from .few_labels import draw_labelled as draw_labelled
@@ -15,7 +14,6 @@ from .methods.base import MethodSettings as MethodSettings
 from .methods.base import Step as Step
 from .methods.base import TransferLoss as TransferLoss
 from .methods.registry import method_names as method_names
-from .methods.registry import register as register
 from .model import ForceModel as ForceModel
 from .model import with_statistics_of as with_statistics_of
 from .onnx_file import export_onnx as export_onnx
@@ -30,5 +28,6 @@ from .run_record import load_predictions as load_predictions
 from .run_record import load_run as load_run
 from .run_record import load_runs as load_runs
 from .runs import adapt_folders as adapt_folders
+from .split import split_for_training as split_for_training
 from .trainer import adapt as adapt
 from .trainer import train_source as train_source

@@ -1,10 +1,10 @@
-"""The frames that training sees: split, on the device, in which order, and changed at random.
+"""The frames that training sees: on the device, in which order, and changed at random.
 
 Every random draw depends on a key alone (the seed, what it is for, and the epoch or step), so that a resumed training
 sees what it would have seen.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -14,198 +14,22 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import FEW_TO_FIT, FITTED, INPUTS, Found, InputMap, mapped, rest_markers
+from gelgap.adapt.inputs import FITTED, INPUTS, Fit, Found, InputMap, mapped
 from gelgap.adapt.profile import Profile
-from gelgap.data import LabelledFrames, Labels, split_domains, with_labels
-from gelgap.data.frames.dataset import labelled_frames
-from gelgap.data.frames.first_touch import STEP, TRAJECTORY, trajectory_of
+from gelgap.data import LabelledFrames, Labels
+from gelgap.data.frames.first_touch import STEP, trajectory_of
 from gelgap.data.frames.paired_frames import PairedFrames
-from gelgap.data.frames.run_labels import force_classes, labelled_for_run, labels_of_run
-from gelgap.data.frames.splits import DomainSplit
-from gelgap.data.frames.stored import GeneratedDomain
 
 # Labels that turn with a picture, and those that no part of a picture shows.
-_TURNING, _PLACE = (("fx_n", "fy_n"), ("mx_nmm", "my_nmm")), ("x_mm", "y_mm")
+_TURNING = ("fx_n", "fy_n"), ("mx_nmm", "my_nmm")
+_PLACE = "x_mm", "y_mm"
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
-FRAMES_SHOWN = 400
-LEAST_SPAN = 0.5
-"""Of the view's width and height that the input markers shows without a note."""
-
-
-@dataclass(frozen=True)
-class SplitFrames:
-    """Two domains, divided: the network learns from the training frames and is judged on the others.
-
-    The source's frames and the target's validation and test frames have all labels. A target without labels has
-    training frames alone.
-    """
-
-    source_train: LabelledFrames
-    source_held_out: LabelledFrames
-    target_train: LabelledFrames
-    target_validation: LabelledFrames
-    target_test: LabelledFrames
-    notes: tuple[str, ...] = ()
-
-    @property
-    def parts(self) -> dict[str, LabelledFrames]:
-        """All five by name."""
-        return {name: frames for name, frames in vars(self).items() if name != "notes"}
-
-    @property
-    def shown(self) -> dict[str, LabelledFrames]:
-        """Frames of `target` and `source` on which a model is looked at.
-
-        They are the target's test frames, or without labels its training frames; and the source's held-out frames, or,
-        if none are held out, the first 400 of its training frames.
-        """
-        trained_on = self.source_train.take(np.arange(len(self.source_train))[:FRAMES_SHOWN])
-        return {
-            "target": self.target_test if len(self.target_test) else self.target_train,
-            "source": self.source_held_out if len(self.source_held_out) else trained_on,
-        }
-
-
-def split_for_training(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    profile: Profile,
-    seed: int,
-    *,
-    labels: Sequence[str] | None = None,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    classes_from_force: int | None = None,
-) -> SplitFrames:
-    """Divide two domains as the profile says; no source frame is held out where it holds none out.
-
-    Source frames without labels are left out. Target frames without labels are trained on, as `split_domains` says, and
-    never tested on; the notes have their number.
-
-    Parameters
-    ----------
-    labels
-        What is predicted; by default what `labelled_for_run` finds.
-    ranges
-        Ranges of labels, by which both domains are normalised; by default `labels_of_run` finds them.
-    classes_from_force
-        Number of contact classes of equal size to give the source's training frames, by Fz or the first label.
-
-    Raises
-    ------
-    ValueError
-        If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
-        wrong, fewer than two target frames can be trained on, the target is a source too and its test frames would be
-        trained on, or what is shown of trajectories is not possible (`check_trajectories`) or only partly labelled.
-    """
-    labelled, target, names = labelled_for_run(source, target, labels)
-    is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
-    split = split_domains(
-        labelled,
-        target,
-        profile.split_by,
-        seed,
-        profile.target_split,
-        profile.source_holdout,
-        profile.stratify_by,
-        is_labelled,
-    )
-    check_trajectories((labelled, target), split, profile, names)
-    if profile.needs_trajectories:
-        _check_wholly_labelled(source, names)
-        _check_wholly_labelled(target, names)
-    # Drawn anew for each, the parts of both differ.
-    differ = profile.split_by in ("random", "given") and (len(source.members) > 1 or not is_labelled.all())
-    if differ and target.digest in [own.digest for own in source.members]:
-        raise ValueError(f"target {target.name} is a source too: split_by must be point or a column")
-    source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
-    if len(target_train) < 2:
-        raise ValueError(
-            f"target {target.name}: {len(target_train)} of {len(target)} pictures would be trained on; adaptation "
-            "needs 2 or more"
-        )
-    common, of_ranges = labels_of_run(source_train, target, names, ranges)
-    source_train = with_labels(source_train, common)
-    if classes_from_force is not None:
-        source_train = force_classes(source_train, classes_from_force)
-    target_test = labelled_frames(with_labels(target.take(split.target_test), common))
-    notes = _drawn_at_random(target, profile) if is_labelled.any() else []
-    if len(labelled) < len(source):
-        left_out = len(source) - len(labelled)
-        notes.append(f"{left_out} of {len(source)} frames of {source.name} lack {', '.join(names)}: left out")
-    if not is_labelled.all():
-        notes.append(
-            f"{is_labelled.sum()} of {len(target)} frames of {target.name} have {', '.join(names)}: "
-            f"{len(target_train)} are trained on without them, {len(target_test)} are tested on"
-        )
-    return SplitFrames(
-        source_train=source_train,
-        source_held_out=with_labels(labelled.take(split.source_held_out), common),
-        target_train=with_labels(target_train, common),
-        target_validation=labelled_frames(with_labels(target.take(split.target_validation), common)),
-        target_test=target_test,
-        notes=(*notes, *of_ranges),
-    )
-
-
-def _drawn_at_random(target: LabelledFrames, profile: Profile) -> list[str]:
-    """Say what of the target's frames a random split does not follow: a stated split, or clips of frames alike."""
-    if profile.split_by != "random" or isinstance(target, GeneratedDomain):  # which is split at random itself
-        return []
-    ways = {"split": ("states a split", "given"), "clip": ("has clips, whose frames look alike", "clip")}
-    return [
-        f"{target.name} {what}, which split_by=random ignores; split_by={way} does not, where both domains have a "
-        f"column {column}"
-        for column, (what, way) in ways.items()
-        if column in target.columns
-    ]
 
 
 def has_other_aspect(size_px: tuple[int, int], of_px: tuple[int, int]) -> bool:
     """Return whether pictures of one width and height would be squeezed to another."""
     return abs(size_px[0] * of_px[1] / (size_px[1] * of_px[0]) - 1) > SAME_ASPECT
-
-
-def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
-    """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
-
-    And one on maps that may not fit, and, for markers, for each domain of whose view less than half is shown.
-
-    Raises
-    ------
-    ValueError
-        If the pictures of one have fewer pixels than training shows, or no markers where these are shown.
-    """
-    for frames in (source, target):
-        frames.references_at(profile.image_size_px)
-        if profile.input == "markers":
-            list(rest_markers(frames, profile.image_size_px, profile.marker_span_mm))
-    (width, height), (w1, h1) = profile.image_size_px, target.size_px
-    sizes = [(frames.name, *frames.size_px) for frames in source.members]
-    notes = [
-        f"pictures of {name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px one is "
-        "squeezed more than the other; crop them to one aspect"
-        for name, w0, h0 in sizes
-        if has_other_aspect((w0, h0), (w1, h1))
-    ]
-    few = [own for own in (*source.members, target) if profile.input in FITTED and len(own) < FEW_TO_FIT]
-    notes += [f"input {profile.input}: a map by {len(own)} pictures of {own.name} hardly fits" for own in few]
-    if profile.input == "calibrated" and profile.colour_mixing:
-        notes.append("input calibrated: colour_mixing turns slopes as if they were colours; set it to 0")
-    if profile.input == "markers":
-        notes += [note for frames in (*source.members, target) for note in _span_notes(frames, profile)]
-    return tuple(notes)
-
-
-def _span_notes(frames: LabelledFrames, profile: Profile) -> Iterator[str]:
-    if (camera := frames.cameras[0]) is None:
-        return
-    span_mm, view_mm = profile.marker_span_mm, camera.footprint_mm(frames.size_px)
-    if min(np.divide(span_mm, view_mm)) < LEAST_SPAN:
-        yield (
-            f"input markers shows {span_mm[0]:g}×{span_mm[1]:g} mm of {frames.name} (marker_span_mm), whose pictures "
-            f"show {view_mm[0]:.1f}×{view_mm[1]:.1f} mm: what moves beyond is not seen"
-        )
 
 
 class Draw(IntEnum):
@@ -257,7 +81,8 @@ def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
 
     Before a trajectory its first frame is repeated: no window crosses from one into another.
     """
-    trajectory, n = trajectory_of(frames), np.arange(len(frames))
+    trajectory = trajectory_of(frames)
+    n = np.arange(len(frames))
     order = np.lexsort([frames.columns[STEP], trajectory])
     begins = np.append(True, np.diff(trajectory[order]) != 0)
     first = np.maximum.accumulate(np.where(begins, n, 0))
@@ -267,52 +92,7 @@ def windows_of(frames: LabelledFrames, length: int) -> np.ndarray:
     return windows
 
 
-def check_trajectories(
-    domains: Sequence[LabelledFrames], split: DomainSplit, profile: Profile, names: Sequence[str]
-) -> None:
-    """Check that trajectories are known, one is as long as what is shown of it, and none is divided by the split.
-
-    Raises
-    ------
-    ValueError
-        If one of this is not so, or labels of these names cannot be read from dents that are turned; the message names
-        data set and trajectory.
-    """
-    if not profile.needs_trajectories:
-        return
-    from_touch = INPUTS[profile.input].from_touch
-    if from_touch:
-        _check_turning(names)
-    for frames, parts in zip(domains, (split[:2], split[2:]), strict=True):
-        trajectory = trajectory_of(frames)
-        longest = int(np.bincount(trajectory).max())
-        if longest < profile.sequence_length:
-            raise ValueError(
-                f"sequence_length = {profile.sequence_length}: the longest trajectory of {frames.name} has {longest} "
-                f"frames; it must be 1 to {longest}"
-            )
-        if from_touch and longest == 1:
-            raise ValueError(
-                f"input {profile.input}: each trajectory of {frames.name} has one frame; it needs those from first "
-                "touch on"
-            )
-        seen = np.concatenate([np.unique(trajectory[rows]) for rows in parts])
-        if len(divided := np.flatnonzero(np.bincount(seen) > 1)):
-            number = frames.columns[TRAJECTORY][trajectory == divided[0]][0]
-            raise ValueError(
-                f"split_by = {profile.split_by!r} divides trajectory {number} of {frames.name}; a sequence needs it "
-                f"whole: set split_by to point or {TRAJECTORY}"
-            )
-
-
-def _check_wholly_labelled(frames: LabelledFrames, names: Sequence[str]) -> None:
-    """Check that frames of a trajectory have these labels all or none: those without would be missing before others."""
-    lacks, trajectory = np.isnan(frames.values_of(names)).any(axis=1), trajectory_of(frames)
-    if len(np.intersect1d(trajectory[lacks], trajectory[~lacks])):
-        raise ValueError(f"{frames.name} has trajectories labelled in part: label all frames of one, or none")
-
-
-def _check_turning(names: Sequence[str]) -> None:
+def check_turning(names: Sequence[str]) -> None:
     """Check that labels of these names turn with a dent (`turn_dents`), or stay."""
     lone = [name for x, y in _TURNING if (x in names) != (y in names) for name in (x, y) if name in names]
     if unread := [*lone, *(name for name in _PLACE if name in names)]:
@@ -339,8 +119,8 @@ class NetworkInputs:
         """Return inputs (B, C, h, w) float32 of these frames; the frames of a sequence along C, the oldest first."""
         if self.windows is None:
             return self._of_frames(rows)
-        own = self.windows[torch.as_tensor(rows, device=self.windows.device)]
-        sequences = self._of_frames(own.flatten()).unflatten(0, own.shape).flatten(1, 2)
+        windows = self.windows[torch.as_tensor(rows, device=self.windows.device)]
+        sequences = self._of_frames(windows.flatten()).unflatten(0, windows.shape).flatten(1, 2)
         return sequences.contiguous(memory_format=torch.channels_last)
 
     def _of_frames(self, rows: np.ndarray | Tensor) -> Tensor:
@@ -365,30 +145,34 @@ def network_inputs(
     Where its input has a map for each domain, it is the given one, or else that of these frames. Of joined data sets
     each has its own, by all of its pictures: 0.040 N for 0.051 N in eight lights. Without `markers` they are inpainted.
     """
-    shown, windows = INPUTS[profile.input], None
+    shown = INPUTS[profile.input]
+    windows = None
     if profile.levelling:
         frames = frames.levelled
     if profile.sequence_length > 1:
         windows = torch.from_numpy(windows_of(frames, profile.sequence_length)).to(device)
     if shown.find is not None:
-        found = Found(shown, frames, profile.image_size_px, profile.marker_span_mm, device)
-        return NetworkInputs(found, windows=windows)
+        fields = Found(shown.find, frames, profile.image_size_px, profile.marker_span_mm, device)
+        return NetworkInputs(fields, windows=windows)
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
     if shown.fit is None:
         return NetworkInputs(pictures, windows=windows)
-    if input_map is not None or profile.input not in FITTED or not frames.owners:
-        return NetworkInputs(pictures, input_map or _map_of(frames, profile, pictures), windows)
+    if input_map is not None:
+        return NetworkInputs(pictures, input_map, windows)
+    if profile.input not in FITTED or not frames.owners:
+        return NetworkInputs(pictures, _fitted(shown.fit, frames, profile, pictures), windows)
     maps = {}
-    for own in set(frames.owners):
-        maps[own] = _map_of(own, profile, own.torch(profile.image_size_px, profile.pairing, device))
+    for owner in set(frames.owners):
+        of_owner = owner.torch(profile.image_size_px, profile.pairing, device)
+        maps[owner] = _fitted(shown.fit, owner, profile, of_owner)
     each = [maps[frames.owners[number]] for number in frames.reference_id]
     of_frames = tuple(torch.tensor(values, device=device) for values in zip(*each, strict=True))
     return NetworkInputs(pictures, None, windows, of_frames)
 
 
-def _map_of(frames: LabelledFrames, profile: Profile, pictures: PairedFrames) -> InputMap:
+def _fitted(fit: Fit, frames: LabelledFrames, profile: Profile, pictures: PairedFrames) -> InputMap:
     try:
-        return INPUTS[profile.input].fit(pictures)
+        return fit(pictures)
     except ValueError as error:
         raise ValueError(f"input {profile.input}: {frames.name}: {error}") from None
 
@@ -446,8 +230,10 @@ class TrainingDomain:
         self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:
             self.without_markers = network_inputs(frames, profile, device, self.pictures.map, markers=False)
-        self.device, self.labels = device, frames.labels
-        self.force = self.contact_class = None
+        self.device = device
+        self.labels = frames.labels
+        self.force: Tensor | None = None
+        self.contact_class: Tensor | None = None
         if labelled:
             self.force = torch.from_numpy(normalised_labels(frames)).to(device)
             self.contact_class = torch.from_numpy(frames.contact_class.astype(np.int64)).to(device)
@@ -455,8 +241,11 @@ class TrainingDomain:
     def batch(self, indices: np.ndarray, hidden: bool) -> Batch:
         """Return a batch of these frames (B,), their markers `hidden` or not."""
         rows = torch.from_numpy(indices).to(self.device)
-        inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
-        if self.force is None:
+        pictures = self.pictures
+        if hidden and self.without_markers is not None:
+            pictures = self.without_markers
+        inputs = pictures.inputs(rows)
+        if self.force is None or self.contact_class is None:
             return Batch(inputs, None, None)
         return Batch(inputs, self.force[rows], self.contact_class[rows])
 
@@ -500,10 +289,12 @@ def turn_dents(batch: Batch, labels: Labels, rng: np.random.Generator) -> Batch:
     """Turn inputs (B, C, h, w) about their centre, each by an angle of its own, forces and torques with them.
 
     A dent that is turned is a dent under lamps elsewhere: a network must read forces from what all lights share. That
-    takes R² of shear in another light from 0.6 to 0.96 (docs/results/README.md). Beyond the edge nothing has changed.
+    takes R² of shear in another light from 0.6 to 0.96 (docs/results/light.md). Beyond the edge nothing has changed.
     """
     angle = torch.from_numpy(rng.uniform(0, 2 * np.pi, len(batch.inputs))).to(batch.inputs)
-    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    cos = angle.cos()
+    sin = angle.sin()
+    zero = torch.zeros_like(angle)
     height, width = batch.inputs.shape[2:]
     # Of the place that is shown at a pixel; either axis runs from −1 to 1.
     rows = (cos, sin * height / width, zero), (-sin * width / height, cos, zero)

@@ -16,11 +16,12 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator
 
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
+from gelgap.adapt.split import SplitFrames
 from gelgap.data import LabelledFrames, paired_contacts, with_labels
 from gelgap.data.frames.dataset import labelled_frames
 from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES
@@ -94,7 +95,7 @@ def shared_unit(labels: Iterable[str]) -> str | None:
 
 
 def evaluate_predictions(
-    true: np.ndarray, predicted: np.ndarray, ranges: np.ndarray, labels: tuple[str, ...] = FORCE_COLUMNS
+    true: np.ndarray, predicted: np.ndarray, ranges: ArrayLike, labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> Evaluation:
     """Return the error of predicted labels (n, k), each in its unit; ranges (k, 2) are theirs.
 
@@ -117,7 +118,8 @@ def evaluate_predictions(
     is_labelled = ~np.isnan(true).any(axis=1)
     if not is_labelled.any():
         raise ValueError(f"none of the {len(true)} frames has all labels: {', '.join(labels)}")
-    true, predicted = true[is_labelled], predicted[is_labelled]
+    true = true[is_labelled]
+    predicted = predicted[is_labelled]
     mae = np.abs(predicted - true).mean(axis=0)
     width = np.diff(np.asarray(ranges, float), axis=1)[:, 0]
     total = ((true - true.mean(axis=0)) ** 2).sum(axis=0)
@@ -191,21 +193,23 @@ def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
     train, test = frames.source_train, frames.target_test
     size_px = min(_SIZE_PX, max(train.size_px), max(test.size_px))
     known, wanted = _numbers(train, size_px), _numbers(test, size_px)
-    found = {CONSTANT: evaluate_constant_mean(train, test)}
+    errors = {CONSTANT: evaluate_constant_mean(train, test)}
     for name, columns in ((QUADRATIC, slice(0, 1)), (RIDGE, slice(1, 3))):
         ridge = make_pipeline(PolynomialFeatures(2), StandardScaler(), Ridge(_PENALTY * len(train)))
         ridge.fit(known[:, columns], train.label_values)
         # Of a single label it predicts (m,).
         predicted = ridge.predict(wanted[:, columns]).reshape(test.label_values.shape)
-        found[name] = evaluate_frames(test, predicted)
-    return found
+        errors[name] = evaluate_frames(test, predicted)
+    return errors
 
 
 def _numbers(frames: LabelledFrames, size_px: int) -> np.ndarray:
     """Return mean absolute difference, share of the dent's pixels and largest difference of each picture (n, 3)."""
-    references, images, rows = frames.references_at(size_px).astype(np.float32), frames.images(size_px), []
-    for image, own in zip(images, frames.reference_id, strict=True):
-        difference = np.abs(image - references[own]).mean(axis=2) / 255
+    references = frames.references_at(size_px).astype(np.float32)
+    images = frames.images(size_px)
+    rows = []
+    for image, reference in zip(images, frames.reference_id, strict=True):
+        difference = np.abs(image - references[reference]).mean(axis=2) / 255
         rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
     return np.array(rows)
 
@@ -225,7 +229,8 @@ class Presses:
     @classmethod
     def of(cls, domain: GeneratedDomain, frames: LabelledFrames | None = None) -> "Presses":
         """Read a generated domain's labels, or those of some of its frames."""
-        names, frames = ("shear_x_mm", "shear_y_mm", "commanded_z_mm"), domain if frames is None else frames
+        names = ("shear_x_mm", "shear_y_mm", "commanded_z_mm")
+        frames = domain if frames is None else frames
         return cls(
             frames=frames,
             command_mm=np.stack([frames.columns[name] for name in names], axis=1),
@@ -277,19 +282,22 @@ def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
     guess_n = np.zeros((len(in_target), 3))
     for trajectory in np.unique(wanted[is_touching], axis=0):
         members = is_touching & (wanted == trajectory).all(axis=1)
-        own = (source.trajectories == trajectory).all(axis=1)
-        guess_n[members] = _force_along(source, own, trajectory[1:], actual_mm[members])
+        same_way = (source.trajectories == trajectory).all(axis=1)
+        guess_n[members] = _force_along(source, same_way, trajectory[1:], actual_mm[members])
     truth = target.frames.force_n[in_target]
     return evaluate_predictions(truth, guess_n, target.frames.force_range_n)
 
 
 def oracles_on(source: LabelledFrames, target: LabelledFrames, test: LabelledFrames) -> dict[str, Evaluation]:
     """Return both oracles by name, on the target's frames `test`; none but of generated domains that share contacts."""
-    generated = isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)
-    if not generated or test.labels.names != FORCE_COLUMNS or not len(paired_contacts(source, test)[0]):
+    if not (isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)):
         return {}
-    presses = Presses.of(source), Presses.of(target, test)
-    return {"pose oracle": pose_oracle(source, test), "geometry oracle": geometry_oracle(*presses)}
+    if test.labels.names != FORCE_COLUMNS or not len(paired_contacts(source, test)[0]):
+        return {}
+    return {
+        "pose oracle": pose_oracle(source, test),
+        "geometry oracle": geometry_oracle(Presses.of(source), Presses.of(target, test)),
+    }
 
 
 def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
@@ -300,9 +308,9 @@ def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, 
 
 
 def _force_along(
-    source: Presses, own: np.ndarray, direction: np.ndarray, actual_mm: np.ndarray
+    source: Presses, chosen: np.ndarray, direction: np.ndarray, actual_mm: np.ndarray
 ) -> np.ndarray:
-    """Return the source's force (m, 3) at displacements (m, 3), from its contacts `own` (n,) in one direction (2,).
+    """Return the source's force (m, 3) at displacements (m, 3), from its contacts `chosen` (n,) in one direction (2,).
 
     A thin-plate spline over depth and travel passes through all of them, and through zero where the gel is not touched.
     """
@@ -311,10 +319,11 @@ def _force_along(
     def place(displacement_mm: np.ndarray) -> np.ndarray:
         return np.stack([displacement_mm[:, 2], displacement_mm[:, :2] @ direction], axis=1)
 
-    known = np.concatenate([place(source.actual_mm[own]), np.zeros((1, 2))])
-    force_n = np.concatenate([source.frames.force_n[own], np.zeros((1, 3))])
+    known = np.concatenate([place(source.actual_mm[chosen]), np.zeros((1, 2))])
+    force_n = np.concatenate([source.frames.force_n[chosen], np.zeros((1, 3))])
     if np.linalg.matrix_rank(known) < 2:
         order = np.argsort(-known[:, 0])
-        depths_mm, sorted_n = -known[order, 0], force_n[order]
+        depths_mm = -known[order, 0]
+        sorted_n = force_n[order]
         return np.stack([np.interp(-actual_mm[:, 2], depths_mm, axis) for axis in sorted_n.T], axis=1)
     return RBFInterpolator(known, force_n)(place(actual_mm))

@@ -7,6 +7,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -23,12 +24,12 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1, stage1_key
 from gelgap.adapt.trainer import train_source
 from gelgap.assets.checksums import sha256
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
+from gelgap.assets.settings import Settings
 from gelgap.data import LabelledFrames, Labels, join_domains, open_domain, with_labels
 from gelgap.data.frames.dataset import labelled_frames
 from gelgap.data.frames.run_labels import within_range
 from gelgap.data.inspection import log_notes
-from gelgap.domains import PressStream
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""
@@ -156,7 +157,8 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
         change = np.stack([np.zeros(len(scale)), error[0] / 2], axis=1)
     else:
         change = _ridge_of_one_penalty(columns, error)
-    gain, offset = 1 + change[:, 0], change[:, 1] * scale
+    gain = 1 + change[:, 0]
+    offset = change[:, 1] * scale
     return model.corrected(AffineCorrection(tuple(gain.tolist()), tuple(offset.tolist())))
 
 
@@ -166,12 +168,12 @@ def _ridge_of_one_penalty(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 
     labels = list(zip(columns.swapaxes(0, 1), error.T, strict=True))
     every = RidgeCV(_PENALTIES, fit_intercept=False, store_cv_results=True)
-    left_out = np.sum([every.fit(*own).cv_results_ for own in labels], axis=0)
+    left_out = np.sum([every.fit(*of_label).cv_results_ for of_label in labels], axis=0)
     mean = left_out.mean(axis=0)
     best = mean.argmin()
     allowed = mean[best] + left_out[:, best].std(ddof=1) / np.sqrt(len(error))
     ridge = Ridge(max(np.array(_PENALTIES)[mean <= allowed]), fit_intercept=False)
-    return np.stack([ridge.fit(*own).coef_ for own in labels])
+    return np.stack([ridge.fit(*of_label).coef_ for of_label in labels])
 
 
 def _check(model: ForceModel, frames: LabelledFrames) -> None:
@@ -225,7 +227,7 @@ def pretrain(
     profile: str | Profile = "cpu",
     seed: int = 0,
     *,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> Pretraining:
     """Train stage 1 on many domains, and judge it on the last tenth of them, which it does not see.
 
@@ -246,20 +248,34 @@ def pretrain(
     log_notes(domains)
     within = [within_range(domain) for domain in domains]
     held_out = max(1, len(domains) // _HELD_OUT_OF)
-    seen, unseen = join_domains(within[:-held_out]), join_domains(within[-held_out:])
+    seen = join_domains(within[:-held_out])
+    unseen = join_domains(within[-held_out:])
     model, _ = Stage1(seen, profile, seed, out=Path(out_dir), progress=progress).model()
     left_out = sum(map(len, domains)) - sum(map(len, within))
     return _pretrained(model, Path(out_dir), len(seen), left_out, seen, unseen)
 
 
+class FrameStream(Protocol):
+    """Frames that are made when they are asked for, the same for the same numbers, as a `gelgap.domains.PressStream`.
+
+    `ranges` is all that they are drawn from.
+    """
+
+    @property
+    def ranges(self) -> Settings: ...
+
+    def frames(self, start: int, stop: int) -> LabelledFrames:
+        """Return those of samples start…stop whose force lies within its range."""
+
+
 def pretrain_on_stream(
-    stream: PressStream,
+    stream: FrameStream,
     out_dir: str | Path,
     profile: str | Profile = "cpu",
     seed: int = 0,
     *,
     frames_per_epoch: int = 3600,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> Pretraining:
     """Train stage 1 on a stream, every epoch on samples that it has not seen, and judge it on others of other lights.
 
@@ -274,7 +290,8 @@ def pretrain_on_stream(
     profile = Profile.named(profile)
     if profile.input in FITTED:
         raise ValueError(f"input {profile.input}: a stream has few pictures of each light; choose another")
-    out_dir, n = Path(out_dir), frames_per_epoch
+    out_dir = Path(out_dir)
+    n = frames_per_epoch
     out_dir.mkdir(parents=True, exist_ok=True)
 
     def frames_of_epoch(epoch: int) -> LabelledFrames:
@@ -384,21 +401,23 @@ def finetune(
     shown, tested = open_domain(on), open_domain(test)
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
-    squeezed = [own for own in (shown, tested) if has_other_aspect(own.size_px, model.size_px)]
-    notes = [f"{own.name} has another aspect than the model: it is squeezed" for own in squeezed]
+    squeezed = [one for one in (shown, tested) if has_other_aspect(one.size_px, model.size_px)]
+    notes = [f"{one.name} has another aspect than the model: it is squeezed" for one in squeezed]
     log_notes((shown, tested), notes)
     labelled = labelled_frames(with_labels(shown, model.labels))
     others = labelled_frames(with_labels(tested, model.labels))
     unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))
-    drawn = (
-        _rows_of_clips(labelled, clips, seed) if frames is None else _rows_by_depth(labelled, frames, seed)
-    )
+    if frames is not None:
+        drawn = _rows_by_depth(labelled, frames, seed)
+    elif clips is not None:
+        drawn = _rows_of_clips(labelled, clips, seed)
     if is_same:
         others = labelled.take(np.setdiff1d(np.arange(len(labelled)), drawn))
         if not len(others):
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
     before = len(drawn) + len(others)
-    few, others = within_range(labelled.take(drawn)), within_range(others)
+    few = within_range(labelled.take(drawn))
+    others = within_range(others)
     beyond = f"lies within the ranges that the model was trained in, {model.labels}"
     if not len(few):
         raise ValueError(f"{on}: none of the {len(drawn)} drawn frames {beyond}")

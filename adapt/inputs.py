@@ -18,6 +18,7 @@ from pydantic import FiniteFloat
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from gelgap.assets.pinhole import Pinhole
     from gelgap.data import LabelledFrames
     from gelgap.data.frames.marker_motion import MarkerTracker, ThinPlate
     from gelgap.data.frames.paired_frames import PairedFrames
@@ -55,20 +56,26 @@ def mapped(inputs: "Tensor", matrix: "Tensor", offset: "Tensor") -> "Tensor":
     return pixels.unflatten(1, inputs.shape[2:]).permute(0, 3, 1, 2)
 
 
+Fit = Callable[["PairedFrames"], InputMap]
+"""Finds the map of a domain from its pictures."""
+Find = Callable[["LabelledFrames", tuple[int, int], tuple[float, float]], np.ndarray]
+"""Gives what is shown of frames, (n, h, w, channels), for a size in px and a span in mm."""
+
+
 @dataclass(frozen=True)
 class Input:
     """One way to show pictures: what it is, and the map of a domain, from its pictures (None: as they are paired).
 
     It may have another number of channels than paired pictures, need their difference, or keep the weights (not the
-    statistics) of the backbone from which training starts. `find` gives what is shown instead of colours, (n, h, w,
-    channels) of frames, a size in px and a span in mm. If it is `from_touch`, frames need their trajectory, and turn.
+    statistics) of the backbone from which training starts. `find` gives what is shown instead of colours. If it is
+    `from_touch`, frames need their trajectory, and turn.
     """
 
     about: str
-    fit: "Callable[[PairedFrames], InputMap] | None" = None
+    fit: "Fit | None" = None
     channels: int | None = None
     needs_difference: bool = False
-    find: "Callable[[LabelledFrames, tuple[int, int], tuple[float, float]], np.ndarray] | None" = None
+    find: "Find | None" = None
     from_touch: bool = False
     frozen: bool = False
 
@@ -80,7 +87,8 @@ def standardisation(pictures: "PairedFrames") -> InputMap:
     total = squares = torch.zeros((), dtype=torch.float64)
     for rows in torch.arange(len(pictures)).split(_BATCH):
         colour = pictures.inputs(rows).double()
-        total, squares = total + colour.sum(dim=(0, 2, 3)), squares + colour.square().sum(dim=(0, 2, 3))
+        total = total + colour.sum(dim=(0, 2, 3))
+        squares = squares + colour.square().sum(dim=(0, 2, 3))
     n = len(pictures) * colour[0, 0].numel()
     mean = (total / n).cpu().numpy()
     std = np.sqrt(np.maximum((squares / n).cpu().numpy() - mean**2, _LEAST_STD**2))
@@ -103,7 +111,9 @@ def calibration(pictures: "PairedFrames") -> InputMap:
     """
     import torch
 
-    response, covariance, weight = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    response = np.zeros((3, 3))
+    covariance = np.zeros((3, 3))
+    weight = 0.0
     for rows in torch.arange(len(pictures)).split(_BATCH):
         colour = pictures.inputs(rows)
         strength = colour.abs().mean(dim=1)
@@ -188,7 +198,7 @@ def dents(frames: "LabelledFrames", size_px: tuple[int, int], span_mm: tuple[flo
 def _rest(
     reference: bytes,
     shape: tuple[int, int, int],
-    camera: object,
+    camera: "Pinhole",
     size_px: tuple[int, int],
     span_mm: tuple[float, float],
 ) -> "tuple[MarkerTracker, ThinPlate]":
@@ -211,19 +221,20 @@ INPUTS = {
     "pretrained": Input("features of a pretrained network (--weights), whose weights stay", frozen=True),
 }
 """What a network can be shown."""
-FITTED, FEW_TO_FIT = ("calibrated", "standardised"), 8
+FITTED = ("calibrated", "standardised")
+FEW_TO_FIT = 8
 """Inputs whose map depends on a domain's pictures, and how many give one that fits (docs/adaptation.md)."""
 
 
 class Found:
     """What is found in the stored pictures of frames and shown instead of their colours, (n, c, h, w).
 
-    `shown.find` says what it can refuse: for markers in mm (`displacement_fields`), for dents their trajectory.
+    `find` says what it can refuse: for markers in mm (`displacement_fields`), for dents their trajectory.
     """
 
     def __init__(
         self,
-        shown: Input,
+        find: Find,
         frames: "LabelledFrames",
         size_px: tuple[int, int],
         span_mm: tuple[float, float],
@@ -231,9 +242,10 @@ class Found:
     ) -> None:
         import torch
 
-        kept, key = _FIELDS.setdefault(frames, {}), (shown.find, size_px, span_mm)
+        kept = _FIELDS.setdefault(frames, {})
+        key = find, size_px, span_mm
         if key not in kept:
-            kept[key] = shown.find(frames, size_px, span_mm)
+            kept[key] = find(frames, size_px, span_mm)
         self._fields = torch.from_numpy(kept[key]).to(device)
 
     def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":

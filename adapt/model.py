@@ -46,7 +46,8 @@ class AffineCorrection(NamedTuple):
 
     def after(self, first: "AffineCorrection") -> "AffineCorrection":
         """Return the correction that applies `first`, then this one."""
-        gain, offset = np.multiply(self.gain, first.gain), self(np.array(first.offset))
+        gain = np.multiply(self.gain, first.gain)
+        offset = self(np.array(first.offset))
         return AffineCorrection(tuple(gain.tolist()), tuple(offset.tolist()))
 
 
@@ -140,9 +141,12 @@ class ForceModel:
                 f"{self.profile.sequence_length} pictures), not a single picture: give the pictures of one trajectory "
                 "(n, h, w, 3) in their order"
             )
-        unknown = {TRAJECTORY: np.zeros(len(pictures), int), STEP: np.arange(len(pictures))}
-        unknown |= {self.labels.names[0]: np.full(len(pictures), np.nan)}
-        frames = ArrayFrames("these pictures", pictures, reference, None, camera=self.camera, **unknown)
+        columns: dict[str, Any] = {
+            TRAJECTORY: np.zeros(len(pictures), int),
+            STEP: np.arange(len(pictures)),
+            self.labels.names[0]: np.full(len(pictures), np.nan),
+        }
+        frames = ArrayFrames("these pictures", pictures, reference, None, camera=self.camera, **columns)
         predicted = replace(self, input_map=self.own_map).predict_frames(frames)
         return predicted if picture.ndim == 4 else predicted[0]
 
@@ -283,16 +287,17 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...], profi
         load_imagenet_weights(network.backbone, path)
         return
     checkpoint = ForceModel.load(path)
-    state, own = checkpoint.network.state_dict(), network.state_dict()
+    state = checkpoint.network.state_dict()
+    fresh = network.state_dict()
     if checkpoint.labels.names != labels:
         common = [name for name in labels if name in checkpoint.labels.names]
         to = [labels.index(name) for name in common]
         at = [checkpoint.labels.names.index(name) for name in common]
         for key in ("regressor.0.weight", "regressor.0.bias"):
-            known, state[key] = state[key], own[key].clone()
+            known, state[key] = state[key], fresh[key].clone()
             state[key][to] = known[at]
     if checkpoint.n_classes != network.classifier.out_features:
-        state |= {key: own[key] for key in ("classifier.weight", "classifier.bias")}
+        state |= {key: fresh[key] for key in ("classifier.weight", "classifier.bias")}
     then = checkpoint.profile
     try:
         if INPUTS[profile.input].frozen and (then.pairing, INPUTS[then.input].fit) != (profile.pairing, None):

@@ -86,14 +86,16 @@ class Residual(nn.Module):
 
     def __init__(self, n_in: int, planes: int, stride: int, shape: Sequence[tuple[int, int]]) -> None:
         super().__init__()
-        self.depth, channels = len(shape), n_in
+        self.depth = len(shape)
+        channels = n_in
         strided = [size for _, size in shape].index(3)
         for i, (factor, size) in enumerate(shape):
             convolution = _convolution(channels, factor * planes, size, stride if i == strided else 1)
             channels = factor * planes
             self.add_module(f"conv{i + 1}", convolution)
             self.add_module(f"bn{i + 1}", nn.BatchNorm2d(channels))
-        self.out_features, self.downsample = channels, nn.Sequential()
+        self.out_features = channels
+        self.downsample = nn.Sequential()
         if stride > 1 or channels != n_in:
             self.downsample = nn.Sequential(_convolution(n_in, channels, 1, stride), nn.BatchNorm2d(channels))
 
@@ -147,7 +149,8 @@ class OwnBackbone(nn.Module):
 
     def __init__(self, name: str, shape: tuple[int, int, int]) -> None:
         super().__init__()
-        make, own = own_backbone(name), name.partition("#")[0]
+        make = own_backbone(name)
+        told_as = name.partition("#")[0]
         try:
             self.extractor = make(shape[0])
             if not isinstance(self.extractor, nn.Module):
@@ -157,11 +160,11 @@ class OwnBackbone(nn.Module):
         except Exception as error:  # the user's code raises anything
             reason = " ".join(str(error).split())[:200]
             raise ValueError(
-                f"backbone {own} fails for pictures {shape} ({type(error).__name__}: {reason})"
+                f"backbone {told_as} fails for pictures {shape} ({type(error).__name__}: {reason})"
             ) from error
         if features.ndim != 2 or len(features) != 2:
             raise ValueError(
-                f"backbone {own} returns {tuple(features.shape)} for 2 pictures {shape}; (2, features) or "
+                f"backbone {told_as} returns {tuple(features.shape)} for 2 pictures {shape}; (2, features) or "
                 "(2, channels, h, w) is needed"
             )
         self.out_features = features.shape[1]
@@ -186,7 +189,8 @@ def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
         If the file does not fit this backbone (another depth or width).
     """
     state = {key: x for key, x in load_checkpoint(Path(path)).items() if not str(key).startswith("fc.")}
-    filters, channels = state.get("conv1.weight"), backbone.conv1.in_channels
+    filters = state.get("conv1.weight")
+    channels = backbone.conv1.in_channels
     try:
         if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and channels % 3 == 0:
             state["conv1.weight"] = filters.repeat(1, channels // 3, 1, 1) * (3 / channels)

@@ -4,7 +4,6 @@ import copy
 import json
 import warnings
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,10 @@ from torch import Tensor, nn
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import ForceModel
+from gelgap.assets.extras import need_extra
 from gelgap.assets.whole_file import whole_file
 from gelgap.data.frames.paired_frames import PairedFrames
 
-_NEEDED = ("onnx", "onnxruntime")
 # Of a label's range. A network whose course depends on the picture itself is not what was traced.
 _MOST_DIFFERENCE = 1e-4
 _OPSET = 18
@@ -32,10 +31,12 @@ class PictureToLabels(nn.Module):
     def __init__(self, model: ForceModel) -> None:
         super().__init__()
         self.network = copy.deepcopy(model.network).cpu()
-        self.pairing, self.map = model.profile.pairing, model.own_map
+        self.pairing = model.profile.pairing
+        self.map = model.own_map
         low, high = model.labels.low, model.labels.high
         gain, offset = model.correction or (np.ones(len(low)), np.zeros(len(low)))
-        scale, start = np.multiply(gain, high - low), np.multiply(gain, low) + offset
+        scale = np.multiply(gain, high - low)
+        start = np.multiply(gain, low) + offset
         self.scale, self.start = (torch.tensor(values, dtype=torch.float32) for values in (scale, start))
 
     def forward(self, picture: Tensor, reference: Tensor) -> tuple[Tensor, ...]:
@@ -56,10 +57,7 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
         If the package onnx or onnxruntime is missing, the input is `markers` or `touch`, or the file computes something
         else than the model.
     """
-    if missing := [name for name in _NEEDED if find_spec(name) is None]:
-        raise ValueError(
-            f"export to ONNX needs the package {' and '.join(missing)}; install it with: pip install 'gelgap[onnx]'"
-        )
+    need_extra("export to ONNX", "onnx", "onnx", "onnxruntime")
     if INPUTS[model.profile.input].find is not None:
         raise ValueError(
             f"input {model.profile.input}: what it shows is found outside the network, which ONNX cannot hold; export "
@@ -132,5 +130,6 @@ def _difference(whole: PictureToLabels, path: Path, pictures: Tensor) -> float:
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     inputs = pictures, pictures.flip(0)
     given = dict(zip(("picture", "reference"), (image.numpy() for image in inputs), strict=True))
-    found, wanted = np.stack(session.run(None, given)), torch.stack(whole(*inputs)).numpy()
-    return float((np.abs(found - wanted) / whole.scale.abs().numpy()[:, None]).max())
+    predicted = np.stack(session.run(None, given))
+    expected = torch.stack(whole(*inputs)).numpy()
+    return float((np.abs(predicted - expected) / whole.scale.abs().numpy()[:, None]).max())

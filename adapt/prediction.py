@@ -116,7 +116,8 @@ def camera_pictures(index: int) -> Iterator[NamedPicture]:
     import cv2
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the sentence below is enough
-    camera, number = cv2.VideoCapture(index), 0
+    camera = cv2.VideoCapture(index)
+    number = 0
     try:
         while (taken := camera.read())[0]:
             yield str(number), np.ascontiguousarray(taken[1][..., ::-1])

@@ -27,7 +27,7 @@ class Profile(PresetSettings):
     name: str = "custom"
     """name under which results are filed"""
     backbone: str = "resnet18"
-    """feature extractor: resnet18, resnet50, or your own as file.py:make_backbone (in a file, beside it)"""
+    """feature extractor: resnet18, resnet50, or your own as FILE.py:FUNCTION (in a file, beside it)"""
     # With fewer than 8 channels, oneDNN's strided 1×1 convolutions (torch 2.13) write past their buffer on AVX2.
     width: float = Field(default=1.0, ge=0.125, le=2)
     """factor on the number of channels (64, 128, 256, 512) of the backbone's layers"""
@@ -117,7 +117,7 @@ class Profile(PresetSettings):
     def _is_known(cls, name: str) -> str:
         if not re.fullmatch(r"[\w.-]+:\w+#[0-9a-f]*", name) and name not in RESNETS:
             raise ValueError(
-                "must be resnet18, resnet50 or your own, file.py:make_backbone (in Python what use_backbone returns)"
+                "must be resnet18, resnet50 or your own, FILE.py:FUNCTION (in Python what use_backbone returns)"
             )
         return name
 
@@ -175,6 +175,7 @@ class Profile(PresetSettings):
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         base = values.pop("base", None)
         start = {} if base is None else cls.preset(base).model_dump()
-        if ":" in (own := str(values.get("backbone", ""))):
-            values["backbone"] = use_backbone(str(folder / own) if ".py:" in own else own)
+        backbone = str(values.get("backbone", ""))
+        if ":" in backbone:
+            values["backbone"] = use_backbone(str(folder / backbone) if ".py:" in backbone else backbone)
         return super()._of_table(start | {"name": name} | values, name, folder)

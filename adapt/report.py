@@ -9,7 +9,7 @@ import pandas as pd
 
 from gelgap.adapt.evaluation import CONSTANT, Evaluation, r2_text, shared_unit, worse_than_constant
 from gelgap.adapt.methods.registry import find_method
-from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
+from gelgap.adapt.result_table import NamedFigure, ResultTable, write_page
 from gelgap.adapt.run_record import Run, load_predictions, load_runs
 from gelgap.adapt.selection import Candidate, alarm, scores, select
 from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
-    """Write report.md, report.tex and report.html about all finished runs below a folder; return the HTML's path.
+    """Write report.html about all finished runs below a folder; return its path.
 
     Raises
     ------
@@ -29,17 +29,17 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
     runs = load_runs(runs_dir)
     tables, figures = [], []
     for labels in dict.fromkeys(run.labels for run in runs):
-        own = [run for run in runs if run.labels == labels]
-        if judged := [run for run in own if run.target_test is not None]:
+        same_labels = [run for run in runs if run.labels == labels]
+        if judged := [run for run in same_labels if run.target_test is not None]:
             tables += [error_table(judged), axis_table(judged)]
-        if unlabelled := [run for run in own if run.target_test is None]:
+        if unlabelled := [run for run in same_labels if run.target_test is None]:
             tables += label_free_tables(unlabelled)
-        tables.append(training_table(own))
+        tables.append(training_table(same_labels))
     tables += unseen_tables(runs)
     for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
         figures += _figures([run for run in runs if (run.group, run.labels) == (group, labels)])
     out = Path(runs_dir if out_dir is None else out_dir)
-    return write_pages(out, "report", "Adaptation runs", tables, figures)
+    return write_page(out / "report.html", "Adaptation runs", tables, figures)
 
 
 def error_table(runs: Sequence[Run]) -> ResultTable:
@@ -49,10 +49,11 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     labels; where these have several units, it is in % of their ranges.
     """
     titles = method_titles(runs)
-    rows = [_name(run, titles) | {"error": _mean_mae(run.target_test)} for run in runs]
+    rows = [_name(run, titles) | {"error": _mean_mae(_errors(run)[0])} for run in runs]
     known = {row["method"] for row in rows}
-    for run in {(run.group, run.seed, _mean_mae(run.target_constant_mean)): run for run in runs}.values():
-        rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
+    one_each = {(run.group, run.seed, _mean_mae(_errors(run)[1])): run for run in runs}
+    for run in one_each.values():
+        rules = {CONSTANT: _errors(run)[1]} | run.baselines | run.oracles
         rows += [
             _name(run, titles) | {"method": name, "error": _mean_mae(error)}
             for name, error in rules.items()
@@ -78,19 +79,31 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    labels, unit, titles, rows = runs[0].labels, _unit(runs), method_titles(runs), []
+    labels = runs[0].labels
+    unit = _unit(runs)
+    titles = method_titles(runs)
     known = [QUANTITIES[name] for name in labels]
+    rows = []
+    notes = []
     for run in runs:
-        error, row = run.target_test, _name(run, titles)
+        error, of_constant = _errors(run)
+        row = _name(run, titles)
         for what, mae, percent in zip(known, error.mae, error.mae_percent, strict=True):
             row[str(what)] = f"{mae:.3f} ({percent:.1f} %)"
         for what, r2 in zip(known, error.r2, strict=True):
             row[f"R² {what.symbol.removeprefix('F')}"] = r2_text(r2)
-        rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
+        rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(of_constant):.3f}"})
+        if warning := worse_than_constant(error):
+            notes.append(f"{titles[run.key]} on {run.group}: {warning}")
     kind = "axis" if labels == FORCE_COLUMNS else "label"
-    notes = {f"{titles[run.key]} on {run.group}": worse_than_constant(run.target_test) for run in runs}
-    note = "; ".join(f"{run}: {what}" for run, what in notes.items() if what)
-    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows), note)
+    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows), "; ".join(notes))
+
+
+def _errors(run: Run) -> tuple[Evaluation, Evaluation]:
+    """Return the errors of a run's model and of the constant mean, or raise ValueError if its target has no labels."""
+    if run.target_test is None or run.target_constant_mean is None:
+        raise ValueError(f"{run.group}, {run.method}: the target has no labels, so that no errors are known")
+    return run.target_test, run.target_constant_mean
 
 
 def label_free_tables(runs: Sequence[Run]) -> list[ResultTable]:
@@ -99,23 +112,28 @@ def label_free_tables(runs: Sequence[Run]) -> list[ResultTable]:
     One table has the selectors' scores of each stage 1 (*before*) and of each adapted model, the other the 5, 50 and
     95 % quantiles of what a model predicts.
     """
-    notes, scored, predicted = ["Errors are not known. Less is better"], dict[Any, dict[str, Any]](), []
+    notes = ["Errors are not known. Less is better"]
+    scored: dict[Any, dict[str, Any]] = {}
+    predicted = []
     titles = method_titles(runs)
     for run in runs:
-        row, called, found = _name(run, titles), f"{titles[run.key]} on {run.group}", run.label_free
-        if found is None:
+        row = _name(run, titles)
+        called = f"{titles[run.key]} on {run.group}"
+        known = run.label_free
+        if known is None:
             notes.append(f"{called} failed: {run.problem}")
             continue
-        if found.alarm:
+        if known.alarm:
             notes.append(f"{called} may predict a constant: its output hardly varies")
         before = row | {"method": "before" + titles[run.key].removeprefix(run.method)}
-        if found.scores_before:
-            scored.setdefault(tuple(before.values()), before | found.scores_before)
-        scored[tuple(row.values())] = row | found.scores
-        for name, at in found.quantiles.items():
+        if known.scores_before:
+            scored.setdefault(tuple(before.values()), before | known.scores_before)
+        scored[tuple(row.values())] = row | known.scores
+        for name, at in known.quantiles.items():
             row = row | {str(QUANTITIES[name]): ", ".join(f"{value:.2f}" for value in at)}
         predicted.append(row)
-    of_labels, formats = _of_labels(runs), {"": "{:.3f}", "seed": "{}"}
+    of_labels = _of_labels(runs)
+    formats = {"": "{:.3f}", "seed": "{}"}
     return [
         ResultTable.of(
             f"A target without labels{of_labels}",
@@ -147,21 +165,25 @@ def selection_table(runs: Sequence[Run], selector: str) -> pd.DataFrame:
             if not find_method(run.method).uses_target_labels:
                 candidates.setdefault(run.group, {})[len(rows)] = candidate
         rows.append(row | {"chosen": False})
-    for own in candidates.values():
-        rows[list(own)[select(list(own.values()), selector)]]["chosen"] = True
+    for of_group in candidates.values():
+        rows[list(of_group)[select(list(of_group.values()), selector)]]["chosen"] = True
     return pd.DataFrame(rows)
 
 
 def unseen_tables(runs: Sequence[Run]) -> list[ResultTable]:
     """Return what of each group's gap no picture shows, so that no adaptation without labels can learn it."""
     rows = list(dict.fromkeys((run.group, note) for run in runs for note in run.unseen))
+    if not rows:
+        return []
+    frame = pd.DataFrame(rows, columns=["group", "what"])
     note = "Only labels of the target teach it: see `gelgap finetune`."
-    return [ResultTable("What no picture shows", ("group", "what"), rows, note)] if rows else []
+    return [ResultTable.of("What no picture shows", frame, note)]
 
 
 def training_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's error on its source, the steps it skipped and the time it took."""
-    unit, rows = _unit(runs), []
+    unit = _unit(runs)
+    rows = []
     for run in runs:
         errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
         row = _name(run, {}) | {"profile": run.profile["name"]}
@@ -180,7 +202,7 @@ def method_titles(runs: Sequence[Run]) -> dict[str, str]:
     if "name" in differ:
         return {run.key: f"{run.method}, {run.profile['name']}" for run in runs}
     told = [[f"{name}={run.profile[name]}" for name in differ if name in run.profile] for run in runs]
-    return {run.key: ", ".join([run.method, *own]) for run, own in zip(runs, told, strict=True)}
+    return {run.key: ", ".join([run.method, *changes]) for run, changes in zip(runs, told, strict=True)}
 
 
 def _name(run: Run, titles: Mapping[str, str]) -> dict[str, Any]:
@@ -212,27 +234,25 @@ def _of_labels(runs: Sequence[Run]) -> str:
 
 def _figures(runs: Sequence[Run]) -> list[NamedFigure]:
     """Return the scatter and the t-SNE of the methods of one group with one choice of labels: its first seed's."""
-    seed, labels = min(run.seed for run in runs), runs[0].labels
+    seed = min(run.seed for run in runs)
+    labels = runs[0].labels
     titles = method_titles(runs)
     arrays = {titles[run.key]: load_predictions(run) for run in runs if run.seed == seed and not run.problem}
     if not arrays:
         return []
     first = next(iter(arrays.values()))
     plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
-    name, caption = runs[0].group.replace(" → ", "-"), f"{runs[0].group}, seed {seed}{_of_labels(runs)}"
+    caption = f"{runs[0].group}, seed {seed}{_of_labels(runs)}"
     what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
-    name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
     if "target_true_n" in first:
         forces = {method: (a["target_true_n"], a["target_predicted_n"]) for method, a in arrays.items()}
         scatter = force_scatter(forces, labels)
-        shown = NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter)
+        shown = NamedFigure(f"{caption}: predicted against true {what}", scatter)
     else:
         predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
         histograms = _histograms(first["source_true_n"], predicted, labels)
-        shown = NamedFigure(
-            f"predicted-{name}", f"{caption}: how often which {what} are predicted", histograms
-        )
-    return [shown, NamedFigure(f"tsne-{name}", f"{caption}: features of both domains", plane)]
+        shown = NamedFigure(f"{caption}: how often which {what} are predicted", histograms)
+    return [shown, NamedFigure(f"{caption}: features of both domains", plane)]
 
 
 def _histograms(
@@ -246,7 +266,8 @@ def _histograms(
         shown = {"the source's labels": source_true_n, **predicted_n}
         bins = np.histogram_bin_edges(np.concatenate([values[:, label] for values in shown.values()]), 30)
         for number, (name, values) in enumerate(shown.items()):
-            weights, colour = np.full(len(values), 1 / len(values)), None if number else "0.6"
+            weights = np.full(len(values), 1 / len(values))
+            colour = None if number else "0.6"
             axes.hist(values[:, label], bins, weights=weights, histtype="step", label=name, color=colour)
         axes.set(xlabel=str(QUANTITIES[labels[label]]), ylabel="share of frames")
         axes.legend(fontsize=7)
@@ -266,7 +287,8 @@ def force_scatter(
     grid = figure.subplots(len(forces_n), len(labels), squeeze=False)
     for row, (method, (true, predicted)) in zip(grid, forces_n.items(), strict=True):
         for label, (name, axes) in enumerate(zip(labels, row, strict=True)):
-            truth, guess = true[:, label], predicted[:, label]
+            truth = true[:, label]
+            guess = predicted[:, label]
             symbol, unit = QUANTITIES[name]
             what = f"force, {unit}" if name in FORCE_COLUMNS else f"{symbol}, {unit}"
             limits = (min(truth.min(), guess.min()), max(truth.max(), guess.max()))

@@ -85,23 +85,23 @@ class Run:
 _RUN = TypeAdapter(Run)
 
 
-def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
+def write_run(run: Run, folder: Path, model: ForceModel | None, arrays: dict[str, np.ndarray]) -> None:
     """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
 
     A run that failed has the record alone.
     """
     record = _RUN.dump_json(run, indent=1) + b"\n"
     sums = {RECORD: sha256(record)}
-    if run.problem is None:
+    if model is not None:
         kept = {
             name: values.astype(np.float16 if name.endswith("_features") else np.float32)
             for name, values in arrays.items()
         }
-        write_arrays(run.folder / _PREDICTIONS, kept)
-        model.save(run.folder / _MODEL)
-        sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
-    write_checksums(run.folder, sums)
-    write_whole(run.folder / RECORD, record)
+        write_arrays(folder / _PREDICTIONS, kept)
+        model.save(folder / _MODEL)
+        sums |= {name: file_sha256(folder / name) for name in (_PREDICTIONS, _MODEL)}
+    write_checksums(folder, sums)
+    write_whole(folder / RECORD, record)
 
 
 def load_run(folder: str | Path) -> Run:
@@ -142,12 +142,12 @@ def load_runs(folder: str | Path) -> list[Run]:
     FileNotFoundError
         If there are none.
     """
-    found = sorted(Path(folder).rglob(RECORD))
-    if not found:
+    records = sorted(Path(folder).rglob(RECORD))
+    if not records:
         raise FileNotFoundError(
             f"{folder} holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one"
         )
-    return [load_run(path.parent) for path in found]
+    return [load_run(path.parent) for path in records]
 
 
 def load_predictions(run: Run) -> dict[str, np.ndarray]:

@@ -4,17 +4,17 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.data import check_classes
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -30,10 +30,11 @@ from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.run_record import RECORD, Run, load_run, write_run
 from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
+from gelgap.adapt.split import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.locks import sole_use
-from gelgap.assets.progress import Progress, silent
+from gelgap.assets.progress import Progress, hidden_progress
 from gelgap.data import LabelledFrames, open_domain
 from gelgap.data.facts import unseen_differences
 from gelgap.data.frames.dataset import labelled_frames
@@ -65,7 +66,7 @@ def adapt_folders(
     classes_from_force: int | None = None,
     weights: str | Path | None = None,
     out_dir: str | Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> list[Run]:
     """Train stage 1 on a source, adapt to each target with each method, evaluate on the targets' test frames.
 
@@ -78,7 +79,7 @@ def adapt_folders(
         Domains that are open, or folders that `gelgap.data.open_domain` reads; several source folders are trained on
         together, several targets are adapted to one by one.
     methods
-        Their names, or `module:Class` or `file.py:Class` of your own.
+        Their names, or `FILE.py:CLASS` of your own.
     profile
         One or several, by name, file or as settings. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force
@@ -98,36 +99,26 @@ def adapt_folders(
     RuntimeError
         If another process is writing one of these runs.
     """
-    profiles = [Profile.named(own) for own in _listed(profile)]
-    methods = tuple(registry.use_method(method) for method in methods)
-    if not methods:
-        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
-    for own in profiles:
-        for method in (*methods, *(name for name in own.settings if "." not in name)):
-            registry.method_settings(method, own)
+    profiles = [Profile.named(name) for name in _listed(profile)]
+    methods = _known_methods(methods, profiles)
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read
     source = source if isinstance(source, LabelledFrames) else open_domains(source)
-    targets = [own if isinstance(own, LabelledFrames) else open_domain(own) for own in _listed(target)]
-    for names in ([own.name for own in targets], [own.name for own in profiles]):
+    targets = [_opened(domain) for domain in _listed(target)]
+    for names in ([domain.name for domain in targets], [chosen.name for chosen in profiles]):
         if len(set(names)) < len(names):
             raise ValueError(f"{', '.join(names)}: results are filed by name, two have the same; rename one")
+    divide = partial(
+        split_for_training,
+        source,
+        seed=seed,
+        labels=labels,
+        ranges=ranges,
+        classes_from_force=classes_from_force,
+    )
     out = None if out_dir is None else Path(out_dir)
-    groups: list[tuple[LabelledFrames, Group]] = []
-    stages: dict[tuple[str, str], Stage1] = {}
-    notes: list[str] = []
-    for domain in targets:
-        for own in profiles:
-            notes += size_notes(source, domain, own)
-            frames = split_for_training(
-                source, domain, own, seed, labels=labels, ranges=ranges, classes_from_force=classes_from_force
-            )
-            notes += frames.notes
-            key = own.name, stage1_key(frames.source_train, own, seed, weights)
-            stage1 = stages.setdefault(key, Stage1(frames.source_train, own, seed, weights, out, progress))
-            # The source's pictures are in memory once for all targets.
-            groups.append((domain, Group(replace(frames, source_train=stage1.source_train), stage1)))
-    log_notes((source, *targets), notes)
+    first_stage = partial(Stage1, seed=seed, weights=weights, out=out, progress=progress)
+    groups = _groups(source, targets, profiles, divide, first_stage)
     for _, group in groups:
         for method in methods:
             group.check(method)
@@ -135,6 +126,51 @@ def adapt_folders(
     for domain, group in groups:
         runs += _runs_of(group, source, domain, methods)
     return runs
+
+
+def _groups(
+    source: LabelledFrames,
+    targets: Sequence[LabelledFrames],
+    profiles: Sequence[Profile],
+    divide: Callable[[LabelledFrames, Profile], SplitFrames],
+    first_stage: "Callable[[LabelledFrames, Profile], Stage1]",
+) -> "list[tuple[LabelledFrames, Group]]":
+    """Return each target with its group of each profile; groups of the same source frames share a stage 1."""
+    groups: list[tuple[LabelledFrames, Group]] = []
+    stages: dict[tuple[str, str], Stage1] = {}
+    notes: list[str] = []
+    for target in targets:
+        for profile in profiles:
+            notes += size_notes(source, target, profile)
+            frames = divide(target, profile)
+            notes += frames.notes
+            stage1 = first_stage(frames.source_train, profile)
+            stage1 = stages.setdefault((profile.name, stage1.key), stage1)
+            # The source's pictures are in memory once for all targets.
+            groups.append((target, Group(replace(frames, source_train=stage1.source_train), stage1)))
+    log_notes((source, *targets), notes)
+    return groups
+
+
+def _known_methods(names: Iterable[str], profiles: Sequence[Profile]) -> tuple[str, ...]:
+    """Return the names of methods, those of one's own loaded; the profiles' settings of them are checked.
+
+    Raises
+    ------
+    ValueError
+        If none is named, one is unknown, or a profile has a wrong setting of it or of an unknown one.
+    """
+    methods = tuple(registry.use_method(name) for name in names)
+    if not methods:
+        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
+    for profile in profiles:
+        for method in (*methods, *(name for name in profile.settings if "." not in name)):
+            registry.method_settings(method, profile)
+    return methods
+
+
+def _opened(domain: str | Path | LabelledFrames) -> LabelledFrames:
+    return domain if isinstance(domain, LabelledFrames) else open_domain(domain)
 
 
 def _listed(value: Any) -> list[Any]:
@@ -150,7 +186,8 @@ def _runs_of(
     if out is None:
         group = _with_oracles(group, source, target)
         return [group.run(method)[0] for method in methods]
-    stem, seed = f"{source.name}-{target.name}", group.stage1.seed
+    stem = f"{source.name}-{target.name}"
+    seed = group.stage1.seed
     folders = {method: out / f"{stem}-{method}-{seed}-{group.key(method)[:8]}" for method in methods}
     missing = [method for method, folder in folders.items() if not (folder / RECORD).is_file()]
     done: dict[str, Run] = {}
@@ -184,15 +221,19 @@ class Stage1:
     seed: int = 0
     weights: str | Path | None = None
     out: Path | None = None
-    progress: Progress = silent
+    progress: Progress = hidden_progress
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of all that decides the result."""
+        return stage1_key(self.source_train, self.profile, self.seed, self.weights)
 
     @cached_property
     def checkpoint(self) -> Path | None:
         """The file of the trained model."""
         if self.out is None:
             return None
-        key = stage1_key(self.source_train, self.profile, self.seed, self.weights)
-        return self.out / "stage1" / f"{self.source_train.name}-{self.seed}-{key[:8]}.pt"
+        return self.out / "stage1" / f"{self.source_train.name}-{self.seed}-{self.key[:8]}.pt"
 
     def model(self) -> tuple[ForceModel, float]:
         """Return the model, and the processor time that training it took now, s (0 if it was trained before).
@@ -213,37 +254,43 @@ class Stage1:
                 return ForceModel.load(self.checkpoint), 0.0
             except ValueError as error:
                 LOG.warning("%s: stage 1 is trained again", error)
-        folder = self.checkpoint and self.checkpoint.with_suffix("")
-        resume_file = folder and folder / _RESUME
-        with sole_use(folder) if folder else nullcontext():
-            self.source_train.images(self.profile.image_size_px)  # read before the clock starts
-            start = time.process_time()
-            model = train_source(
-                self.source_train,
-                self.profile,
-                self.seed,
-                weights=self.weights,
-                resume_file=resume_file,
-                progress=self.progress,
-            )
-            core_s = time.process_time() - start
-            if folder:
-                model.save(self.checkpoint)
-                resume_file.unlink(missing_ok=True)
+        if self.checkpoint is None:
+            return self._train_now(None)
+        folder = self.checkpoint.with_suffix("")
+        with sole_use(folder):
+            model, core_s = self._train_now(folder / _RESUME)
+            model.save(self.checkpoint)
+            (folder / _RESUME).unlink(missing_ok=True)
         return model, core_s
+
+    def _train_now(self, resume_file: Path | None) -> tuple[ForceModel, float]:
+        self.source_train.images(self.profile.image_size_px)  # read before the clock starts
+        begun = time.process_time()
+        model = train_source(
+            self.source_train,
+            self.profile,
+            self.seed,
+            weights=self.weights,
+            resume_file=resume_file,
+            progress=self.progress,
+        )
+        return model, time.process_time() - begun
 
     def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
         """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
-        found = registry.find_method(method)
-        if found.uses_target_labels:
+        kind = registry.find_method(method)
+        if kind.uses_target_labels:
             target_train = labelled_frames(target_train)
-        if found.needs_stage_1:
+        if kind.needs_stage_1:
             start, stage1_s = self.model()
         else:
-            start, stage1_s = untrained(self.source_train, self.profile, self.seed), 0.0
+            start = untrained(self.source_train, self.profile, self.seed)
+            stage1_s = 0.0
         for part in (self.source_train, target_train):
             part.images(self.profile.image_size_px)  # read before the clock starts
-        begun, model, problem = time.process_time(), None, None
+        begun = time.process_time()
+        model = None
+        problem = None
         try:
             model = adapt(
                 start,
@@ -284,10 +331,10 @@ class Group:
 
     def check(self, method: str) -> None:
         """Raise a ValueError unless both domains have what a method needs."""
-        found = registry.find_method(method)
-        if found.uses_classifier:
+        kind = registry.find_method(method)
+        if kind.uses_classifier:
             check_classes(self.frames.source_train, method)
-        if found.uses_target_labels:
+        if kind.uses_target_labels:
             labelled = labelled_frames(self.frames.target_train)
             if len(labelled) < 2:
                 raise ValueError(
@@ -302,7 +349,8 @@ class Group:
 
     def run(self, method: str, folder: Path | None = None) -> tuple[Run, ForceModel | None]:
         """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed."""
-        frames, profile = self.frames, self.stage1.profile
+        frames = self.frames
+        profile = self.stage1.profile
         begun = time.process_time()
         for name, part in frames.parts.items():
             if name != "target_validation":
@@ -344,7 +392,7 @@ class Group:
             folder=folder,
         )
         if folder is not None:
-            write_run(run, adapted.model, arrays)
+            write_run(run, folder, adapted.model, arrays)
             (folder / _RESUME).unlink(missing_ok=True)
         return run, adapted.model
 
@@ -386,9 +434,11 @@ def run_key(
     Settings of other methods do not change it, nor fields at their default: a profile may gain a field.
     """
     parts = (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test)
-    own = profile.replace(settings={name: s for name, s in profile.settings.items() if name == method})
+    settings_used = profile.replace(
+        settings={name: s for name, s in profile.settings.items() if name == method}
+    )
     code = registry.method_code(method)
-    return _key(parts, method if code is None else f"{method} {code}", own, seed, weights)
+    return _key(parts, method if code is None else f"{method} {code}", settings_used, seed, weights)
 
 
 def stage1_key(
@@ -400,7 +450,7 @@ def stage1_key(
 
 def stage1_profile(profile: Profile) -> Profile:
     """Return the profile with all that stage 1 does not depend on at its default."""
-    return Profile(**profile.model_dump(exclude=_STAGE_2_FIELDS))
+    return Profile(**profile.model_dump(exclude=set(_STAGE_2_FIELDS)))
 
 
 def _key(

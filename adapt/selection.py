@@ -1,31 +1,20 @@
-"""Choosing among adapted models without target labels.
-
-[1] Sugiyama, Krauledat, Müller, "Covariate shift adaptation by importance weighted cross validation", JMLR 8, 2007.
-[2] You, Wang, Long, Jordan, "Towards accurate model selection in deep unsupervised domain adaptation" (DEV), ICML 2019.
-[3] Ben-David et al., "Analysis of representations for domain adaptation", NIPS 2006.
-[4] Zhong, Fan, Yang, Verscheure, Ren, "Cross validation framework to choose amongst models and datasets for transfer
-    learning", ECML 2010; the reverse model here is a nearest-neighbour regression in the feature space.
-"""
+"""Choosing among adapted models without target labels, and the signs of a model that has collapsed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gelgap.adapt.methods.mmd import mk_mmd
-
-if TYPE_CHECKING:
-    from sklearn.pipeline import Pipeline
+from gelgap.assets.names import left
 
 ALARM_SPREAD = 0.3
 ALARM_RANK = 0.3
 # A spread of predictions that is rounding.
 _CONSTANT = 1e-6
-_NEIGHBOURS = 5
-_FOLDS = 3
+_LEFT = ("a-distance", "dev", "iwcv", "reverse-validation")
 
 
 @dataclass(frozen=True)
@@ -54,62 +43,19 @@ class Candidate:
             target_prediction_n=arrays["target_predicted_n"][: len(target)],
         )
 
-    @property
-    def source_error(self) -> np.ndarray:
-        """Squared errors (n,) of the source frames, each axis over the variance of its force, mean over the axes."""
-        return _relative_error(self.source_prediction_n, self.source_force_n)
-
 
 def source_risk(candidate: Candidate) -> float:
-    """Return the mean squared error on held-out source frames."""
-    return float(candidate.source_error.mean())
-
-
-def importance_weighted_risk(candidate: Candidate) -> float:
-    """Return IWCV [1]: the source risk weighted by the density ratio of target to source features."""
-    return float((_density_ratio(candidate) * candidate.source_error).mean())
-
-
-def deep_embedded_validation(candidate: Candidate) -> float:
-    """Return DEV [2]: IWCV with the control variate η(w − 1), η = −Cov(wℓ, w)/Var(w)."""
-    weight = _density_ratio(candidate)
-    loss = weight * candidate.source_error
-    variance = weight.var(ddof=1)
-    eta = -np.cov(loss, weight)[0, 1] / variance if variance > 0 else 0.0
-    return float(loss.mean() + eta * (weight.mean() - 1))
+    """Return the mean squared error on held-out source frames, each axis over the variance of its force."""
+    error_n = candidate.source_prediction_n - candidate.source_force_n
+    variance = np.maximum(candidate.source_force_n.var(axis=0), 1e-12)
+    return float((error_n**2 / variance).mean())
 
 
 def feature_mmd(candidate: Candidate) -> float:
     """Return the MK-MMD between source and target features, with the median bandwidth."""
-    features, domain = map(torch.from_numpy, _features_and_domain(candidate))
-    return float(mk_mmd(features[domain == 0], features[domain == 1], robust=True))
-
-
-def proxy_a_distance(candidate: Candidate) -> float:
-    """Return 2(1 − 2ε) with ε the cross-validated error of a linear domain classifier [3]; 0 when it can only guess.
-
-    ε is the mean of both domains' errors and the domains weigh the same in the fit, so that unequal numbers of frames
-    tell nothing. At least 2 frames of each domain are needed.
-    """
-    from sklearn.model_selection import cross_val_score
-
-    features, domain = _features_and_domain(candidate)
-    classifier, folds = _classifier(class_weight="balanced"), min(_FOLDS, *np.bincount(domain))
-    accuracy = cross_val_score(classifier, features, domain, cv=folds, scoring="balanced_accuracy").mean()
-    return float(2 * (1 - 2 * min(1 - accuracy, 0.5)))
-
-
-def reverse_validation(candidate: Candidate) -> float:
-    """Return the error on the source of a model that learnt from the target's predictions alone [4].
-
-    Aligned features with right predictions lead back to the source's forces.
-    """
-    from sklearn.neighbors import KNeighborsRegressor
-
-    neighbours = min(_NEIGHBOURS, len(candidate.target_features))
-    reverse = KNeighborsRegressor(neighbours, weights="distance")
-    reverse.fit(candidate.target_features, candidate.target_prediction_n)
-    return float(_relative_error(reverse.predict(candidate.source_features), candidate.source_force_n).mean())
+    features = candidate.source_features, candidate.target_features
+    source, target = (torch.from_numpy(of_domain.astype(np.float64)) for of_domain in features)
+    return float(mk_mmd(source, target, robust=True))
 
 
 def effective_rank(features: Tensor) -> float:
@@ -131,22 +77,16 @@ def rank_alarm(candidate: Candidate) -> bool:
     return effective_rank(torch.from_numpy(target)) < ALARM_RANK * effective_rank(torch.from_numpy(source))
 
 
-SELECTORS = {
-    "source risk": source_risk,
-    "IWCV": importance_weighted_risk,
-    "DEV": deep_embedded_validation,
-    "feature MMD": feature_mmd,
-    "A-distance": proxy_a_distance,
-    "reverse validation": reverse_validation,
-}
+SELECTORS = {"source-risk": source_risk, "feature-mmd": feature_mmd}
 
 
 def find_selector(name: str) -> str:
-    """Return a selector's name in `SELECTORS`, also of reverse-validation; a ValueError if there is none."""
-    known = {known.lower().replace(" ", "-"): known for known in SELECTORS}
-    if (plain := name.lower().replace(" ", "-")) not in known:
+    """Return a selector's name; a ValueError if there is none, or says in which version it was."""
+    if name in _LEFT:
+        raise ValueError(left("selector", name, f"known selectors: {', '.join(SELECTORS)}"))
+    if name not in SELECTORS:
         raise ValueError(f"selector {name!r} is unknown; known selectors: {', '.join(SELECTORS)}")
-    return known[plain]
+    return name
 
 
 def scores(candidate: Candidate) -> dict[str, float]:
@@ -191,29 +131,3 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     values = np.array([score(candidate) for candidate in candidates])
     alarmed = np.array([alarm(candidate) for candidate in candidates])
     return int(np.argmin(np.where(np.isnan(values) | (alarmed & ~alarmed.all()), np.inf, values)))
-
-
-def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray:
-    variance = np.maximum(force_n.var(axis=0), 1e-12)
-    return ((prediction_n - force_n) ** 2 / variance).mean(axis=1)
-
-
-def _features_and_domain(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    parts = candidate.source_features, candidate.target_features
-    return np.concatenate(parts).astype(np.float64), np.repeat([0, 1], [len(part) for part in parts])
-
-
-def _classifier(class_weight: str | None = None) -> "Pipeline":
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.pipeline import make_pipeline
-    from sklearn.preprocessing import StandardScaler
-
-    return make_pipeline(StandardScaler(), LogisticRegression(C=0.1, max_iter=300, class_weight=class_weight))
-
-
-def _density_ratio(candidate: Candidate) -> np.ndarray:
-    """Return p_target/p_source at the source features, from a probabilistic domain classifier."""
-    features, domain = _features_and_domain(candidate)
-    n, m = len(candidate.source_features), len(candidate.target_features)
-    probability = _classifier().fit(features, domain).predict_proba(features[:n])
-    return n / m * probability[:, 1] / np.maximum(probability[:, 0], 1e-6)

@@ -7,14 +7,12 @@ add to a step.
 import copy
 import logging
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -34,17 +32,17 @@ from gelgap.adapt.data import (
     steps_per_epoch,
     turn_dents,
 )
+from gelgap.adapt.epochs import EpochLog, EpochRecord, check_collapse
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import (
     Activations,
     Adaptation,
-    FeatureCollapse,
     Method,
     Step,
     TrainingDiverged,
     loss_of,
 )
-from gelgap.adapt.methods.registry import make_method
+from gelgap.adapt.methods.registry import make_method, use_method
 from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start
 from gelgap.adapt.network import (
     ForceNetwork,
@@ -55,15 +53,12 @@ from gelgap.adapt.network import (
     torch_threads,
 )
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.selection import effective_rank
-from gelgap.assets.progress import Progress, silent
-from gelgap.data import LabelledFrames, with_labels
+from gelgap.assets.progress import Progress, hidden_progress
+from gelgap.data import LabelledFrames, Labels, with_labels
 from gelgap.data.frames.dataset import pictures_alone
 
 LOG = logging.getLogger(__name__)
 MAX_SKIPPED_IN_A_ROW = 20
-COLLAPSED_SPREAD = 0.05
-HEALTHY_SPREAD = 0.3
 
 
 def train_source(
@@ -73,7 +68,7 @@ def train_source(
     *,
     weights: str | Path | None = None,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> ForceModel:
     """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
@@ -125,8 +120,12 @@ def train_source(
 def _note_contacts_alone(source: LabelledFrames, profile: Profile, device: torch.device) -> None:
     shown = network_inputs(source, profile, device)
     if all(shown.inputs(row).any() for row in torch.arange(len(shown)).split(1)):
-        told = "no training frame is without contact, and the network reads a force where there is none"
-        LOG.warning("input %s: %s: %s; add some", profile.input, source.name, told)
+        LOG.warning(
+            "input %s: %s: no training frame is without contact, and the network reads a force where there is none; "
+            "add some",
+            profile.input,
+            source.name,
+        )
 
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
@@ -154,7 +153,7 @@ def adapt(
     seed: int | None = None,
     *,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -163,6 +162,8 @@ def adapt(
     source, target
         Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels. Which
         labels, and in which ranges, is the model's.
+    method
+        Its name, or `FILE.py:CLASS` of your own.
     profile, seed
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
@@ -180,6 +181,7 @@ def adapt(
     """
     profile = model.profile if profile is None else profile
     seed = model.seed if seed is None else seed
+    method = use_method(method)
     chosen = make_method(method, profile, model.n_classes, len(model.labels), seed)
     source = with_labels(source, model.labels)
     source.check_labels()
@@ -223,7 +225,8 @@ def adapt(
 
 def _adaptation(model: ForceModel, source: LabelledFrames, target: LabelledFrames) -> Adaptation:
     """Return what a method without a loss adapts a model with: of the target its pictures alone."""
-    target, profile = pictures_alone(target), model.profile
+    target = pictures_alone(target)
+    profile = model.profile
     return Adaptation(
         model.network,
         model.seed,
@@ -232,44 +235,6 @@ def _adaptation(model: ForceModel, source: LabelledFrames, target: LabelledFrame
         source_labels=normalised_labels(source),
         estimate_target_statistics=partial(estimate_statistics, model.network, target, profile, model.seed),
     )
-
-
-@dataclass(frozen=True)
-class EpochRecord:
-    """What one epoch did.
-
-    Attributes
-    ----------
-    losses
-        Mean of each loss.
-    gradient_norm
-        Median norm of the gradient.
-    prediction_spread
-        Standard deviation of the source predictions over that of their labels, mean over axes; near 0 the network
-        predicts a constant.
-    feature_rank
-        Effective rank of the last source batch's features.
-    skipped_steps
-        Steps whose loss or gradient was not finite.
-    wall_s
-        Time of the epoch.
-    diagnostics
-        Mean of each number that the method reports, over the steps that were not skipped.
-    """
-
-    stage: str
-    epoch: int
-    losses: dict[str, float]
-    gradient_norm: float
-    prediction_spread: float
-    feature_rank: float
-    skipped_steps: int
-    wall_s: float
-    diagnostics: dict[str, float] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        skipped = f"  {self.skipped_steps} steps skipped" if self.skipped_steps else ""
-        return "  ".join(f"{name} {value:.4f}" for name, value in self.losses.items()) + skipped
 
 
 def train(
@@ -282,7 +247,7 @@ def train(
     *,
     title: str,
     resume_file: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = hidden_progress,
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> list[EpochRecord]:
     """Train a network in place by SGD and return what the epochs did.
@@ -298,63 +263,124 @@ def train(
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
     """
-    places = [name for name in source_frames.labels.names if name in ("x_mm", "y_mm")]
-    if profile.shift_px and places:
-        told = f"a shifted picture shows another {' and '.join(places)} than its label says"
-        raise ValueError(f"shift_px = {profile.shift_px}: {told}; set shift_px to 0")
-    target, final_weight = None, 0.0
-    epochs, rate = profile.source_epochs, profile.source_learning_rate
-    if method is not None:
-        epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
-        weight_set = method.settings.transfer_weight
-        final_weight = profile.transfer_weight if weight_set is None else weight_set
+    _check_shifts(source_frames.labels, profile)
+    target = None
+    if method is not None and target_frames is not None:
         target = TrainingDomain(target_frames, profile, network.device, labelled=method.uses_target_labels)
         method.to(network.device)
     source = TrainingDomain(source_frames, profile, network.device, labelled=True)
     steps = steps_per_epoch(len(source), profile.batch_size)
-    optimizer = _make_optimizer(network, method, profile, rate)
-    average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
-    parts = {"network": network, "companion": method, "optimizer": optimizer, "average": average}
-    state = {name: part for name, part in parts.items() if part is not None}
-    records = _resume(resume_file, state)
-    skipped_in_a_row = 0
-    for epoch in range(len(records), epochs):
+    training = Training(network, method, profile, seed, title, steps)
+    records = _resume(resume_file, training.state)
+    for epoch in range(len(records), training.epochs):
         log = EpochLog()
         network.train()
-        torch.manual_seed(int(generator(seed, Draw.TORCH, epochs, epoch).integers(2**63)))  # of dropout
+        torch.manual_seed(
+            int(generator(seed, Draw.TORCH, training.epochs, epoch).integers(2**63))
+        )  # of dropout
         if frames_of_epoch is not None and epoch > 0:
             drawn = frames_of_epoch(epoch)
             del source  # one domain's pictures at a time
             source = TrainingDomain(drawn, profile, network.device, labelled=True)
         for number, batches in enumerate(batches_of(epoch, source, target, profile, seed), epoch * steps):
-            _set_rate(optimizer, profile, number, steps * epochs)
-            optimizer.zero_grad(set_to_none=True)
-            weight = final_weight * transfer_factor(number, steps * epochs, profile)
-            step = Step(number, weight, generator(seed, Draw.METHOD, number))
-            of_source, of_target = _activations(network, profile, seed, *batches, method, step)
-            loss, losses, diagnostics = _losses(of_source, of_target, method, step, profile)
-            loss.backward()
-            norm = _gradient_norm(network, method)
-            finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
-            if finite:
-                optimizer.step()
-                if average is not None:
-                    # At first the average is short, so that it forgets where training began.
-                    _move_towards(average, network, 1 - min(profile.averaging, (1 + number) / (10 + number)))
-            skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
-            if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
-                raise _diverged(title, losses, norm)
-            log.add(of_source, losses, diagnostics, norm if finite else None)
+            training.step(number, *batches, log)
         records.append(log.record(title, epoch + 1))
         if method is not None:
-            _check_collapse(records)
-        _store(resume_file, state, records)
-        progress(title, epoch + 1, epochs, str(records[-1]))
-    if average is not None:
-        network.load_state_dict(average.state_dict())
-    if method is not None and profile.judges_by_own_statistics:
+            check_collapse(records)
+        _store(resume_file, training.state, records)
+        progress(title, epoch + 1, training.epochs, str(records[-1]))
+    if training.average is not None:
+        network.load_state_dict(training.average.state_dict())
+    if method is not None and target_frames is not None and profile.judges_by_own_statistics:
         estimate_statistics(network, target_frames, profile, seed)
     return records
+
+
+def _check_shifts(labels: Labels, profile: Profile) -> None:
+    """Check that no label says where in the picture a contact is, if pictures are shifted."""
+    places = [name for name in labels.names if name in ("x_mm", "y_mm")]
+    if profile.shift_px and places:
+        raise ValueError(
+            f"shift_px = {profile.shift_px}: a shifted picture shows another {' and '.join(places)} than its label "
+            "says; set shift_px to 0"
+        )
+
+
+class Training:
+    """All that changes while a network is trained: its weights, a method's own, the optimiser and the averaged weights.
+
+    Without a method it is stage 1. `epochs` are the stage's, `steps_per_epoch` of each are taken.
+    """
+
+    def __init__(
+        self,
+        network: ForceNetwork,
+        method: Method | None,
+        profile: Profile,
+        seed: int,
+        title: str,
+        steps_per_epoch: int,
+    ) -> None:
+        self.network = network
+        self.method = method
+        self.profile = profile
+        self.seed = seed
+        self.title = title
+        self.epochs = profile.source_epochs
+        self._transfer_weight = 0.0
+        rate = profile.source_learning_rate
+        if method is not None:
+            self.epochs = profile.adapt_epochs
+            weight = method.settings.transfer_weight
+            self._transfer_weight = profile.transfer_weight if weight is None else weight
+            rate = profile.adapt_learning_rate
+        self._steps = steps_per_epoch * self.epochs
+        self._optimizer = _make_optimizer(network, method, profile, rate)
+        self.average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
+        self._skipped_in_a_row = 0
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What is stored after an epoch, each with a `state_dict`, by name."""
+        parts = {
+            "network": self.network,
+            "companion": self.method,
+            "optimizer": self._optimizer,
+            "average": self.average,
+        }
+        return {name: part for name, part in parts.items() if part is not None}
+
+    def step(self, number: int, source: Batch, target: Batch | None, log: EpochLog) -> None:
+        """Take one step on batches of both domains, or none where its loss or gradient is not finite; note it.
+
+        Raises
+        ------
+        TrainingDiverged
+            If it is the twentieth in a row that was not taken.
+        """
+        _set_rate(self._optimizer, self.profile, number, self._steps)
+        self._optimizer.zero_grad(set_to_none=True)
+        weight = self._transfer_weight * transfer_factor(number, self._steps, self.profile)
+        step = Step(number, weight, generator(self.seed, Draw.METHOD, number))
+        of_source, of_target = _activations(
+            self.network, self.profile, self.seed, source, target, self.method, step
+        )
+        loss, losses, diagnostics = _losses(of_source, of_target, self.method, step, self.profile)
+        loss.backward()
+        norm = _gradient_norm(self.network, self.method)
+        is_finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
+        if is_finite:
+            self._optimizer.step()
+            self._skipped_in_a_row = 0
+            if self.average is not None:
+                # At first the average is short, so that it forgets where training began.
+                kept = min(self.profile.averaging, (1 + number) / (10 + number))
+                _move_towards(self.average, self.network, 1 - kept)
+        else:
+            self._skipped_in_a_row += 1
+        if self._skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
+            raise _diverged(self.title, losses, norm)
+        log.add(of_source, losses, diagnostics, norm if is_finite else None)
 
 
 def batches_of(
@@ -391,7 +417,8 @@ def _cycled(target: TrainingDomain, profile: Profile, seed: int, step: int) -> I
     number, first = divmod(step, steps_per_epoch(len(target), profile.batch_size))
     while True:
         yield from _one_pass(target, profile, seed, Draw.STAGE_2_TARGET, number, first)
-        number, first = number + 1, 0
+        number = number + 1
+        first = 0
 
 
 def _losses(
@@ -426,10 +453,10 @@ def _activations(
     key = seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
     mixed = mix_colours(source.inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
     shown = [shift_pictures(mixed, profile.shift_px, generator(Draw.SHIFTS, *key))]
-    if target is not None:
+    if target is not None and method is not None:
         rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
         target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
-        shown = [method.augment_source(shown[0], target.inputs, step), target.inputs]
+        shown.append(target.inputs)
         if not method.compares_features and profile.judges_by_own_statistics:
             shown.pop()  # what the network makes of it would change nothing
     with autocast(profile, network.device):
@@ -439,23 +466,27 @@ def _activations(
             features = [network.features(pictures) for pictures in shown]
 
     def heads(features: Tensor, batch: Batch) -> Activations:
-        share, logits = profile.classification_feedback, None
+        share = profile.classification_feedback
+        logits = None
         if method is not None and method.uses_classifier:
             logits = network.classifier(share * features + (1 - share) * features.detach())
         prediction = network.regressor(features)
         return Activations(features, prediction, logits, batch.force, batch.contact_class, batch.inputs)
 
     activations = heads(features[0].float(), source)
-    return activations, None if len(shown) == 1 else heads(features[1].float(), target)
+    if target is None or len(shown) == 1:
+        return activations, None
+    return activations, heads(features[1].float(), target)
 
 
 @torch.no_grad()
 def _move_towards(mean: ForceNetwork, network: ForceNetwork, share: float) -> None:
     """Move the weights and statistics of a running mean towards a network's by a share of the way."""
-    of_mean, of_network = [*mean.parameters(), *mean.buffers()], [*network.parameters(), *network.buffers()]
-    for own, other in zip(of_mean, of_network, strict=True):
-        if own.is_floating_point():
-            own.lerp_(other, share)
+    of_mean = [*mean.parameters(), *mean.buffers()]
+    of_network = [*network.parameters(), *network.buffers()]
+    for value, newest in zip(of_mean, of_network, strict=True):
+        if value.is_floating_point():
+            value.lerp_(newest, share)
 
 
 def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int, steps: int) -> None:
@@ -510,59 +541,6 @@ def _resume(resume_file: Path | None, state: Mapping[str, Any]) -> list[EpochRec
         return []
 
 
-class EpochLog:
-    """Collects the steps of one epoch, on the device; `record` sums them up."""
-
-    def __init__(self) -> None:
-        self._start = time.perf_counter()
-        self._steps: list[tuple[Mapping[str, Tensor], Mapping[str, float | Tensor], Tensor]] = []
-        self._predictions: list[Tensor] = []
-        self._labels: list[Tensor] = []
-
-    def add(
-        self,
-        source: Activations,
-        losses: Mapping[str, Tensor],
-        diagnostics: Mapping[str, float | Tensor] | None,
-        gradient_norm: Tensor | None,
-    ) -> None:
-        """Note a step; losses and diagnostics of a skipped one, which has no gradient_norm, are left out."""
-        if gradient_norm is not None:
-            losses = {name: loss.detach() for name, loss in losses.items()}
-            self._steps.append((losses, diagnostics or {}, gradient_norm))
-        self._predictions.append(source.prediction.detach().float())
-        self._labels.append(source.force.detach().float())
-        self._features = source.features.detach().float()
-
-    def record(self, stage: str, epoch: int) -> EpochRecord:
-        """Return what the epoch did."""
-        losses, diagnostics, norms = zip(*self._steps, strict=True) if self._steps else ((), (), ())
-        return EpochRecord(
-            stage=stage,
-            epoch=epoch,
-            losses=_means(losses),
-            gradient_norm=float(np.median([float(norm) for norm in norms])) if norms else math.nan,
-            prediction_spread=prediction_spread(torch.cat(self._predictions), torch.cat(self._labels)),
-            feature_rank=effective_rank(self._features),
-            skipped_steps=len(self._predictions) - len(self._steps),
-            wall_s=time.perf_counter() - self._start,
-            diagnostics=_means(diagnostics),
-        )
-
-
-def _means(steps: tuple[Mapping[str, float | Tensor], ...]) -> dict[str, float]:
-    """Return the mean of each number over the steps that have it."""
-    names = dict.fromkeys(name for step in steps for name in step)
-    return {name: float(np.mean([float(step[name]) for step in steps if name in step])) for name in names}
-
-
-def prediction_spread(prediction: Tensor, force: Tensor) -> float:
-    """Return the mean over axes of std(prediction) / std(force); axes with constant labels are left out (all: NaN)."""
-    label_std = force.std(dim=0)
-    varies = label_std > 1e-6
-    return float((prediction.std(dim=0)[varies] / label_std[varies]).mean())
-
-
 def transfer_factor(step: int, steps: int, profile: Profile) -> float:
     """Return the factor in [0, 1] on λ_t: 0 in the warm-up, then 2/(1+e^(−γp))−1 with p from 0 to 1 [1].
 
@@ -589,14 +567,3 @@ def _make_optimizer(
         {"params": of_heads, "initial_lr": rate},
     ]
     return torch.optim.SGD(groups, rate, profile.momentum, weight_decay=profile.weight_decay)
-
-
-def _check_collapse(records: list[EpochRecord]) -> None:
-    best, last = max(record.prediction_spread for record in records), records[-1]
-    if best >= HEALTHY_SPREAD and last.prediction_spread < COLLAPSED_SPREAD:
-        raise FeatureCollapse(
-            f"{last.stage}, epoch {last.epoch}: the features collapsed: predictions spread over "
-            f"{last.prediction_spread:.1%} of the labels' spread (it was {best:.0%}), effective feature rank "
-            f"{last.feature_rank:.1f}; lower transfer_weight (from scratch 0.003 to 0.1, the least for DSAN) or the "
-            f"learning rate"
-        )

@@ -1,13 +1,11 @@
-"""Presets, reference tables and page templates that ship with gelgap, and the functions that read them."""
+"""Presets and files: what ships with gelgap, and the functions by which every room reads and writes."""
 
 import tomllib
-from base64 import b64encode
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gelgap.assets.names import unknown_name
+from gelgap.assets.names import left, unknown_name
 
 PRESET_KINDS = (
     "elastomers",
@@ -19,6 +17,7 @@ PRESET_KINDS = (
     "datasets",
     "profiles",
 )
+_RENAMED = {("profiles", "board"): "benchmark"}
 
 
 def asset_path(*parts: str) -> Path:
@@ -53,28 +52,7 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
     """
     known = list_presets(kind)
     if name not in known:
+        if (kind, name) in _RENAMED:
+            raise ValueError(left(f"{kind[:-1]} preset", name, f"it is called {_RENAMED[kind, name]}"))
         raise ValueError(unknown_name(f"{kind[:-1]} preset", name, known, "known presets"))
     return tomllib.loads(asset_path(kind, f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def html_page(template: str, **values: Any) -> str:
-    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe.
-
-    A picture within the page is the bytes of its file, which the filter `base64` embeds.
-    """
-    return _environment().get_template(template).render(**values)
-
-
-@cache
-def _environment() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
-
-    environment = Environment(
-        loader=FileSystemLoader(asset_path("templates")),
-        autoescape=select_autoescape(["html"]),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["base64"] = lambda data: b64encode(data).decode()
-    return environment

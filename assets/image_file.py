@@ -32,8 +32,8 @@ _QUARTER_TURNS = (5, 6, 7, 8)
 
 def visible_files(*folders: Path) -> list[Path]:
     """Return what lies in folders, frame_2 before frame_10, without hidden files and locks (`~$…`)."""
-    found = [path for folder in folders for path in folder.glob("[!.~]*")]
-    return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
+    paths = [path for folder in folders for path in folder.glob("[!.~]*")]
+    return sorted(paths, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
 
 
 def picture_files(files: list[Path]) -> list[Path]:

@@ -4,8 +4,11 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
 
 LONGEST_QUOTED = 80
+LAST_VERSION = "0.3.0"
+"""The last release: names that have left since are in it."""
 _MOST_LISTED = 12
 _PROSE = {"description", "known", "assumed"}
 
@@ -18,6 +21,16 @@ def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "kn
     """
     known = tuple(known)
     return f"{what} {quoted(name)} is unknown; {of_known}: {', '.join(known)}{closest_name(name, known)}"
+
+
+def left(what: str, name: str, instead: str = "") -> str:
+    """Return the sentence for a name that has left gelgap: the last version that has it, and what to do instead.
+
+    >>> left("method", "rsd")
+    "method 'rsd' has left: gelgap 0.3.0 is the last version that has it"
+    """
+    told = f"{what} {quoted(name)} has left: gelgap {LAST_VERSION} is the last version that has it"
+    return f"{told}; {instead}" if instead else told
 
 
 def closest_name(name: str, known: Iterable[str]) -> str:
@@ -75,7 +88,7 @@ def one_line(self: object) -> str:
     return f"{type(self).__name__}({', '.join(told)})"
 
 
-def _brief(value: object) -> str:
+def _brief(value: Any) -> str:
     """Return an array's shape, a preset's name, how many entries something long has, and of other objects the type."""
     if hasattr(value, "ndim") and value.ndim > 0:
         return f"array {value.shape}" if value.size > 3 else str(value.round(4).tolist())

@@ -1,7 +1,7 @@
 """A camera's geometry: where its pinhole is, how much it sees, and how its lens bends."""
 
 from math import atan, degrees, hypot, radians, tan
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field
@@ -10,6 +10,18 @@ from gelgap.assets.settings import Settings
 
 FARTHEST_MM = 500.0
 _NEAR_MM = 25.0
+OF_LIGHT = frozenset(
+    {
+        "vignetting",
+        "point_spread_px",
+        "full_well_electrons",
+        "read_noise_electrons",
+        "exposure",
+        "sensitivity",
+        "white_balance_cct_k",
+    }
+)
+"""What a sensor file's table [camera] has besides geometry (`gelgap.render.Camera`)."""
 
 
 class Pinhole(Settings):
@@ -24,6 +36,11 @@ class Pinhole(Settings):
     radial_distortion: tuple[float, float] = Field(
         default=(0.0, 0.0), description="k1, k2 of OpenCV's model on normalised image coordinates"
     )
+
+    @classmethod
+    def of_camera(cls, table: dict[str, Any]) -> Self:
+        """Return the geometry in a sensor file's table [camera]; a ValueError names a field that no camera has."""
+        return cls(**{name: value for name, value in table.items() if name not in OF_LIGHT})
 
     def focal_length_px(self, width_px: int) -> float:
         """Return the focal length in pixels of a picture `width_px` wide (square pixels)."""

@@ -24,7 +24,7 @@ class Progress(Protocol):
 _SHOWN: ContextVar[Progress | None] = ContextVar("shown", default=None)
 
 
-def silent(title: str, done: int, total: int, message: str = "") -> None:
+def hidden_progress(title: str, done: int, total: int, message: str = "") -> None:
     """Say nothing."""
 
 
@@ -37,10 +37,10 @@ def shown_progress() -> Iterator[Progress]:
     shown = _SHOWN.get()
     in_main_thread = threading.current_thread() is threading.main_thread()
     if shown is not None or not in_main_thread or multiprocessing.parent_process() is not None:
-        yield shown or silent
+        yield shown or hidden_progress
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
     console = Console(stderr=True)
@@ -56,7 +56,8 @@ def shown_progress() -> Iterator[Progress]:
         speed_estimate_period=_SPEED_PERIOD_S,
         disable=not has_bars,
     )
-    tasks, next_line = {}, {}
+    tasks: dict[str, TaskID] = {}
+    next_line: dict[str, float] = {}
 
     def tell(title: str, done: int, total: int, message: str = "") -> None:
         if title not in tasks:
@@ -65,8 +66,7 @@ def shown_progress() -> Iterator[Progress]:
         if done == 0:
             bars.reset(task)
         bars.update(task, completed=done, total=total, message=message)
-        now = time.monotonic()
-        if not has_bars and now >= next_line.get(title, 0.0):
+        if not has_bars and (now := time.monotonic()) >= next_line.get(title, 0.0):
             next_line[title] = now + SECONDS_BETWEEN_LINES
             _print_line(title, done, total, message, bars.tasks[task].time_remaining)
 

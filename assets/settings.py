@@ -12,8 +12,9 @@ from gelgap.assets import asset_path, load_preset
 from gelgap.assets.names import closest_name, one_line, quoted
 from gelgap.assets.toml_file import named_in_errors, read_toml
 
-# As pydantic has them.
-_LACKS, _UNKNOWN, _FROM_VALUE_ERROR = "field required", "extra inputs are not permitted", "Value error, "
+_LACKS = "field required"  # as pydantic has them
+_UNKNOWN = "extra inputs are not permitted"
+_FROM_VALUE_ERROR = "Value error, "
 # Where a field takes one of several models, pydantic says of which a problem is: `Peak`, or `function-after[…, Peak]`.
 _MODEL = re.compile(r"(?:^|, )[A-Z]\w*\]?$")
 
@@ -110,12 +111,12 @@ def one_sentence(error: ValidationError, model: type[BaseModel] | None = None) -
 
     Of a field that takes one of several models, only the problems of the one that was meant are told.
     """
-    found = error.errors()
+    details = error.errors()
     options: dict[tuple[Any, ...], list[str]] = {}
     sentences: dict[tuple[Any, ...], str] = {}
-    for number, detail in enumerate(found):
+    for number, detail in enumerate(details):
         place = detail["loc"]
-        inside = (other for other in found[:number] if other["loc"][: len(place)] == place)
+        inside = (other for other in details[:number] if other["loc"][: len(place)] == place)
         if len(place) > 1 and _MODEL.search(str(place[-1])):
             messages = options.setdefault(place[:-1], [])
             messages.append(detail["msg"].removeprefix(_FROM_VALUE_ERROR))

@@ -1,9 +1,11 @@
 """What every study is made of: settings → hash → record, tables of records, a bootstrap and a stopwatch.
 
 A study is a grid of settings (plain dicts), a function that measures one of them, and tables that are queries on the
-records: `run_missing` measures what has no record yet and returns all as a DataFrame, `show` prints one.
+records: `run_missing` measures what has no record yet and returns all as a DataFrame; `print_tables` is the command
+line that makes the tables of docs/results again.
 """
 
+import argparse
 import contextlib
 import dataclasses
 import io
@@ -11,25 +13,23 @@ import itertools
 import json
 import logging
 import math
-import multiprocessing
 import os
 import statistics
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from unittest.mock import patch
 
 import numpy as np
 
 from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, sha256, with_checksum, without_checksum
-from gelgap.assets.locks import defer_signals
 from gelgap.assets.whole_file import write_whole
+from gelgap.assets.workers import Workers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,10 +39,10 @@ Setting = dict[str, Any]
 """One cell of a study's grid, by name: what JSON can hold."""
 Results = dict[str, Any]
 """What was measured, by names that no setting has: what JSON can hold, and arrays."""
-ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 RESAMPLES = 4000
 """How many draws a bootstrap takes."""
-_JOB, _ARRAYS = "job", "arrays"
+_JOB = "job"
+_ARRAYS = "arrays"
 
 
 def run_missing(
@@ -94,12 +94,13 @@ def run_missing(
                 "has now; move the file away, or choose another --out"
             )
     todo = {key: setting for key, setting in wanted.items() if key not in found}
-    count, started = len(todo), time.perf_counter()
-    measure, cores = (function, file.with_suffix("")), len(os.sched_getaffinity(0))
+    count = len(todo)
+    started = time.perf_counter()
+    measure = partial(_measured, function, file.with_suffix(""))
     if workers == 1 and tasks_per_worker is None:
-        done = ((key, _measured(*measure, key, todo[key])) for key in todo if time.time() < stop)
+        done = ((key, measure(key, todo[key])) for key in todo if time.time() < stop)
     else:
-        done = _on_workers(measure, todo, workers or cores, tasks_per_worker, stop)
+        done = _on_workers(measure, todo, workers or len(os.sched_getaffinity(0)), tasks_per_worker, stop)
     with contextlib.closing(done):
         for number, (key, results) in enumerate(done, 1):
             record = {_JOB: wanted[key], **stated[key], **results}
@@ -139,56 +140,30 @@ def _measured(
 
 
 def _on_workers(
-    measure: Sequence[Any],
+    measure: Callable[[str, Setting], dict[str, Any]],
     todo: dict[str, Setting],
     workers: int,
     tasks_per_worker: int | None,
     stop: float,
-) -> Iterator[tuple[str, dict[str, Any]]]:
+) -> Generator[tuple[str, dict[str, Any]], None, None]:
     """Yield results as worker processes find them."""
-    waiting, running = iter(todo.items()), {}
-    with (
-        patch.dict(os.environ, ONE_THREAD),
-        ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_end_with_parent,
-            max_tasks_per_child=tasks_per_worker,
-        ) as pool,
-    ):
-        try:
+    waiting = iter(todo.items())
+    running: dict[Future[dict[str, Any]], str] = {}
+    try:
+        with Workers(workers, tasks_per_worker) as pool:
             while True:
                 free = workers - len(running) if time.time() < stop else 0
                 for key, setting in itertools.islice(waiting, free):
-                    with defer_signals():
-                        running[pool.submit(_measured, *measure, key, setting)] = key
+                    running[pool.submit(measure, key, setting)] = key
                 if not running:
                     return
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(future), future.result()
-        except BrokenProcessPool as error:
-            raise RuntimeError(
-                "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
-                "the same command again to go on"
-            ) from error
-        except BaseException:
-            # Left alone, the pool would wait for all that it has begun.
-            processes = list((pool._processes or {}).values())
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
-                process.kill()
-            raise
-
-
-def _end_with_parent() -> None:
-    """End this process as soon as the one that started it has ended, however that was."""
-    parent = multiprocessing.parent_process()
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+    except BrokenProcessPool as error:
+        raise RuntimeError(
+            "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
+            "the same command again to go on"
+        ) from error
 
 
 def _append(file: Path, record: dict[str, Any]) -> None:
@@ -273,9 +248,17 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
-def write_json(path: Path, results: Any) -> None:
-    """Write results (arrays, tables, dataclasses and NumPy numbers included) as indented JSON, making the folder."""
-    write_whole(path, (json.dumps(results, indent=1, default=_plain) + "\n").encode())
+def write_records(file: Path, frame: "pd.DataFrame", settings: Sequence[str]) -> None:
+    """Write a table in place of a file of records, a line a row; `settings` names the columns by which rows differ."""
+    lines = []
+    for row in frame.to_dict("records"):
+        known = {
+            name: value for name, value in row.items() if not (isinstance(value, float) and math.isnan(value))
+        }
+        job = {name: known.pop(name) for name in settings if name in known}
+        record = with_checksum(_through_json({_JOB: job, **known}))
+        lines.append(json.dumps(record, ensure_ascii=False) + "\n")
+    write_whole(file, "".join(lines).encode())
 
 
 def drawn_means(values: np.ndarray, clusters: Sequence[object] | None = None) -> np.ndarray:
@@ -331,6 +314,13 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.square(values).mean()))
 
 
-def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:
-    """Print a table; see `ResultTable.of`."""
-    ResultTable.of(title, frame, note, formats).show()
+def print_tables(description: str | None, tables: "Callable[[pd.DataFrame], list[ResultTable]]") -> None:
+    """Print the tables of the file of records that the command line names by `--table`, in Markdown."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--table", type=Path, required=True, metavar="FILE", help="a file of records")
+    file = parser.parse_args().table
+    if not file.is_file():
+        parser.error(f"--table {file}: no such file")
+    print("\n".join(table.markdown() for table in tables(read_records(file))))

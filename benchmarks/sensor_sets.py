@@ -2,7 +2,8 @@
 
 A set is a folder with `presses.toml`, `reference.png` and a sensor `start.toml` (its LEDs may be missing), one of the
 package `taxim`, or a clone of a published repository. Each press is predicted by a fit of others, made at other places.
-Nothing of a set is copied.
+Nothing of a set is copied. `python -m gelgap.benchmarks.sensor_sets --table FILE` prints the table of a file of records
+again.
 """
 
 import time
@@ -13,11 +14,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.image_file import read_image
-from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.common import print_tables, read_records, write_records
 from gelgap.calibrate.calibrator import calibrate_light
-from gelgap.calibrate.membranes import PressSet, lit_from_dents, sphere_profiles, taxim_presses
+from gelgap.calibrate.membranes import sphere_profiles
 from gelgap.calibrate.pictures import PressPicture, read_presses
+from gelgap.calibrate.start import lit_from_dents
+from gelgap.calibrate.taxim_sets import PressSet, taxim_presses
 from gelgap.render import Camera, Markers, Sensor
 
 MODELS = {
@@ -102,7 +106,7 @@ READERS: dict[str, Callable[[Path], PressSet]] = {
 
 def find_sets(folder: Path) -> dict[str, Callable[[], PressSet]]:
     """Return what reads each set that lies in a folder or below it, by the set's place, in order."""
-    found = {}
+    found: dict[str, Callable[[], PressSet]] = {}
     for path in sorted({file.parent for mark in READERS for file in folder.rglob(mark)}):
         mark = next(mark for mark in READERS if (path / mark).is_file())
         found[str(path.relative_to(folder))] = partial(READERS[mark], path)
@@ -110,7 +114,7 @@ def find_sets(folder: Path) -> dict[str, Callable[[], PressSet]]:
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
-    """Print how each set in a folder is predicted, and write `sensor-sets.json`. Quick: two folds instead of three."""
+    """Print how each set in a folder is predicted, and write `sensors.jsonl`. Quick: two folds instead of three."""
     rows, refused = [], []
     folds = 2 if quick else 3
     for name, read in find_sets(data).items():
@@ -132,20 +136,40 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
                     "inside": tuple(inside for inside, _ in levels),
                     "ring": tuple(ring for _, ring in levels),
                     "fit, s": seconds,
+                    "folds": folds,
                 }
             )
     if not rows and not refused:
         raise ValueError(f"--data {data} holds no set of presses; {', '.join(READERS)} mark one")
-    records = pd.DataFrame(rows, columns=["set", "presses", "model", "inside", "ring", "fit, s"])
-    note = f"ring: from one to two radii; fit: of all presses, and {folds} folds. {' '.join(refused)}"
-    title = "real sensors, presses predicted by fits of others; PSNR in dB, median (worst)"
-    table = records.assign(
-        inside=records["inside"].map(median_and_worst), ring=records["ring"].map(median_and_worst)
+    write_records(out_dir / "sensors.jsonl", pd.DataFrame(rows), ("set", "model"))
+    for table in tables(read_records(out_dir / "sensors.jsonl")) if rows else []:
+        table.show()
+    for reason in refused:
+        print(reason)
+
+
+def tables(records: pd.DataFrame) -> list[ResultTable]:
+    """Return how each set is predicted by each model: PSNR in dB, inside the contact and around, medians (worst)."""
+    rows = []
+    for name, own in records.groupby("set", sort=False):
+        levels = own.set_index("model")
+        row = {"set": name, "presses": own["presses"].iloc[0]}
+        for model in MODELS:
+            regions = levels.loc[model, ["inside", "ring"]]
+            row[model] = ", ".join(map(median_and_worst, regions))
+        rows.append(row | {"fits, s": own["fit, s"].iloc[0]})
+    folds = records["folds"].iloc[0]
+    note = (
+        f"ring: from one to two radii; fits: core s of one of all presses and {folds} that leave a part out"
     )
-    show(title, table, note, {"fit, s": "{:.1f}"})
-    write_json(out_dir / "sensor-sets.json", {"predictions": records, "refused": refused})
+    title = "Real sensors, presses predicted by fits of others: PSNR in dB, inside and ring, median (worst)"
+    return [ResultTable.of(title, pd.DataFrame(rows), note, {"fits, s": "{:.0f}"})]
 
 
 def median_and_worst(levels: Sequence[float]) -> str:
     """Return levels of several presses in words."""
     return f"{np.median(levels):.1f} ({np.min(levels):.1f})"
+
+
+if __name__ == "__main__":
+    print_tables(__doc__, tables)

@@ -1,4 +1,4 @@
-"""How fast domains are made and read."""
+"""How fast domains are made and read; `python -m gelgap.benchmarks.throughput --table FILE` prints the tables again."""
 
 import os
 import resource
@@ -13,7 +13,8 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import processor_s, show, write_json
+from gelgap.adapt.result_table import ResultTable
+from gelgap.benchmarks.common import print_tables, processor_s, read_records, write_records
 from gelgap.data import LabelledFrames, open_domain
 from gelgap.data.formats.domain_folder import DomainFolder
 from gelgap.domains import DomainRecipe, generate_recipes, make_recipes, preset_recipes
@@ -27,7 +28,7 @@ READING_AIMS = "aims: 150 frames/s from Parquet in order, 3000 by a DataLoader"
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Measure generation and reading; print tables and write `throughput.json`.
+    """Measure generation and reading; print tables and write `throughput.jsonl`.
 
     The full form makes the paper's four domains at standard quality; the quick one two small domains at draft quality,
     one solve per gel, with one worker.
@@ -38,10 +39,24 @@ def run(quick: bool, out_dir: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
         generated = generation(recipes, folder / "data", workers)
-    show(f"Generation of {preset} at {quality} quality, {workers} worker(s)", generated, AIMS)
-    frames = open_domain(folder / "data" / recipes[0].name)
-    show(f"Reading at {READING_SIZE_PX} px on one core", reading := reading_rates(frames), READING_AIMS)
-    write_json(out_dir / "throughput.json", {"generation": generated, "reading": reading})
+    generated = generated.assign(of="generation", preset=preset, quality=quality, workers=workers)
+    reading = reading_rates(open_domain(folder / "data" / recipes[0].name)).assign(of="reading")
+    file = out_dir / "throughput.jsonl"
+    write_records(file, pd.concat([generated, reading]), ("of", "preset", "quality", "workers", "way"))
+    for table in tables(read_records(file)):
+        table.show()
+
+
+def tables(records: pd.DataFrame) -> list[ResultTable]:
+    """Return what making and reading domains took."""
+    found = []
+    for name, note in (("generation", AIMS), ("reading", READING_AIMS)):
+        own = (
+            records[records["of"] == name].drop(columns="of").dropna(axis=1, how="all").reset_index(drop=True)
+        )
+        title = "Making domains" if name == "generation" else f"Reading at {READING_SIZE_PX} px on one core"
+        found.append(ResultTable.of(title, own, note))
+    return found
 
 
 def recipes_of(preset: str, quality: str) -> tuple[DomainRecipe, ...]:
@@ -93,3 +108,7 @@ def reading_rates(frames: LabelledFrames) -> pd.DataFrame:
         way = f"DataLoader from the cache, {pairing}, batches of {BATCH}"
         rates.append((way, epochs * len(frames) / processor_s(work, 3)))
     return pd.DataFrame(rates, columns=["way", "frames/s"])
+
+
+if __name__ == "__main__":
+    print_tables(__doc__, tables)

@@ -14,9 +14,10 @@ import numpy as np
 from gelgap.calibrate.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.calibrate.pictures import DARK, SATURATED, FarField
 from gelgap.calibrate.poses import LEAST_DEPTH_MM, PlacedPresses
-from gelgap.render.camera import Camera
-from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
-from gelgap.render.normal_table import BallResidual, NormalTable
+from gelgap.calibrate.residual import fitted_residual
+from gelgap.render.imaging import Camera, srgb_decode, srgb_encode, srgb_slope
+from gelgap.render.normal_table import NormalTable
+from gelgap.render.sensor import BallResidual
 
 RIDGE = 0.1
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
@@ -304,7 +305,7 @@ class LightFit:
         radii_mm = np.array([profiles.contact_radius_mm(pose[2]) for profiles, pose in own])
         contacts = np.column_stack([self.presses[:, :2] / half_mm, radii_mm])
         away = (seen.positions[:, :2] - self.presses[self.index, :2]) / radii_mm[self.index, None]
-        return BallResidual.fitted(diameters_mm.pop(), contacts, self.index, away, left, self.usable)
+        return fitted_residual(diameters_mm.pop(), contacts, self.index, away, left, self.usable)
 
     def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""

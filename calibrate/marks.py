@@ -223,7 +223,8 @@ def _shared(changes: Sequence[_Change], dents: _Dents, poses_px: np.ndarray) -> 
     """Return (n, 9, 3): one cubic of the normal at each press's place, of few presses linear in it."""
     height, width = changes[0].clear.shape
     degree = 2 if len(changes) >= FEWEST_FOR_GAIN else 1
-    places = monomials(*(2 * poses_px[:, :2] / (width, height) - 1).T, degree)
+    x, y = (2 * poses_px[:, :2] / (width, height) - 1).T
+    places = monomials(x, y, degree)
     columns, real = [], []
     for change, pose, place in zip(changes, poses_px, places, strict=True):
         points, own = change.samples(pose)
@@ -252,8 +253,8 @@ def find_marks(
         return cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
     small = seen(reference)
-    dots = found_dots(small)
-    dots = dots if dots.mean() > LEAST_DOTS else None
+    specks = found_dots(small)
+    dots = specks if specks.mean() > LEAST_DOTS else None
     own = [seen(picture) for picture in pictures]
     changes = [_Change.of(picture, small, dots) for picture in own]
     starts = [change.start() for change in changes]
@@ -261,7 +262,9 @@ def find_marks(
     found: list[FoundMark | None] = [None] * len(pictures)
     if not pressed:
         return found
-    dents, dented, poses = _Dents.of(profiles, mm_per_px / scale), [changes[number] for number in pressed], []
+    dents = _Dents.of(profiles, mm_per_px / scale)
+    dented = [changes[number] for number in pressed]
+    poses = []
     for number in pressed:
         pose = starts[number]
         for _ in range(_ROUNDS):
@@ -310,7 +313,8 @@ def _mark(
 ) -> FoundMark:
     points, real = change.samples(pose_px)
     error = real - dents.columns(points, pose_px) @ cubic
-    size, far = np.linalg.norm(change.coarse, axis=2), radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
+    size = np.linalg.norm(change.coarse, axis=2)
+    far = radii_away(picture, pose_px[:2], pose_px[2]) > _BEYOND
     corner_px = np.array([0.5, 0.5, 0])
     x, y, radius = ((pose_px + corner_px) / scale - corner_px).tolist()
     shift_px, detail = _moved(picture, reference, pose_px)

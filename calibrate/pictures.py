@@ -1,8 +1,4 @@
-"""Pictures of presses: what a calibration is given, and what the pictures alone say.
-
-That is where a contact is, from which side each colour's light comes, what a press changes far away from itself, and
-the table that a model has to be better than.
-"""
+"""Pictures of presses: what a calibration is given, where a contact is, and what a press changes far away from it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,8 +12,7 @@ from gelgap.assets.image_file import read_image
 from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings, within
 from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.render.camera import Camera
-from gelgap.render.imaging import srgb_decode
+from gelgap.render.imaging import Camera
 from gelgap.render.light.scattered import monomials
 
 DARK, SATURATED = 4, 250  # codes at and beyond which a value is not used
@@ -231,24 +226,6 @@ def _center_px(change: np.ndarray) -> tuple[float, float]:
     strong = np.where(change > 0.5 * change.max(), change, 0)
     rows, columns = np.indices(strong.shape)
     return (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()
-
-
-def light_azimuths(
-    reference: np.ndarray, pictures: Sequence[np.ndarray], centers_px: np.ndarray, radii_px: np.ndarray
-) -> np.ndarray:
-    """Return (3,): by channel the azimuth in radians, from +x towards +y, that presses are lit from.
-
-    A dent is brighter on the side that faces the LED. `centers_px` (n, 2) and `radii_px` (n,) say which part of each
-    picture, uint8 (h, w, 3), is looked at.
-    """
-    untouched = np.maximum(srgb_decode(reference / 255), 1e-3)
-    rows, columns = np.indices(reference.shape[:2])
-    moments = np.zeros((3, 2))
-    for picture, (x, y), radius in zip(pictures, centers_px, radii_px, strict=True):
-        inside = np.hypot(columns - x, rows - y) < radius
-        change = srgb_decode(picture[inside] / 255) / untouched[inside] - 1
-        moments += change.T @ np.column_stack([columns[inside] - x, rows[inside] - y])
-    return np.arctan2(moments[:, 1], moments[:, 0])
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ from gelgap.calibrate.pictures import (
 )
 from gelgap.calibrate.profiles import PressProfiles
 from gelgap.data.inpainting import detect_markers, inpaint_telea
-from gelgap.render.camera import Camera
 from gelgap.render.flat_field import map_dots
-from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
+from gelgap.render.imaging import Camera, psnr_db, srgb_decode, srgb_encode
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
@@ -261,8 +260,17 @@ def place_presses(
         poses.append(pose)
         radii.append(radius_px)
         sigmas.append(_sigmas_mm(given, camera.footprint_mm(size_px)[0] / size_px[0]))
-    arrays = (np.array(values) for values in (poses, sigmas, centers, radii))
-    placed = PlacedPresses(camera, reference, tuple(all_located), names, *arrays, own)
+    placed = PlacedPresses(
+        camera,
+        reference,
+        tuple(all_located),
+        names,
+        poses_mm=np.array(poses),
+        sigma_mm=np.array(sigmas),
+        centers_px=np.array(centers),
+        radii_px=np.array(radii),
+        profiles=own,
+    )
     _check_contacts(placed)
     return replace(placed, has_dots=bool(found_dots(reference).mean() > LEAST_DOTS))
 
@@ -290,21 +298,21 @@ def start_pose(
 ) -> tuple[np.ndarray, float]:
     """Return (x, y, depth) in mm and the contact's radius in pixels."""
     mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
-    depth, radius_px, nearer = press.depth_mm, press.radius_px, 1.0
-    if depth is None and press.has_rough_marks:
-        depth = min(_UNKNOWN_DEPTH * profiles.sphere_radius_mm, profiles.deepest_mm)
-    if depth is None:
+    radius_px = press.radius_px
+    if press.depth_mm is None and not press.has_rough_marks:
+        nearer = 1.0
         for _ in range(3):
             # The marked circle is the contact's edge, which stands nearer to the camera than the flat membrane.
             contact_mm = radius_px * mm_per_px * nearer
             depth = profiles.depth_mm(contact_mm)
             nearer = _nearer(camera, profiles, depth, contact_mm)
-    elif depth > profiles.deepest_mm + 0.05:
+    elif press.depth_mm is not None and press.depth_mm > profiles.deepest_mm + 0.05:
         raise ValueError(
-            f"depth_mm is {depth}; the membrane around a sphere of radius {profiles.sphere_radius_mm:g} mm is "
+            f"depth_mm is {press.depth_mm}; the membrane around a sphere of radius {profiles.sphere_radius_mm:g} mm is "
             f"solved down to {profiles.deepest_mm:.2f} mm"
         )
     else:
+        depth = press.depth_mm or min(_UNKNOWN_DEPTH * profiles.sphere_radius_mm, profiles.deepest_mm)
         contact_mm = profiles.contact_radius_mm(depth)
         nearer = _nearer(camera, profiles, depth, contact_mm)
     if press.point_mm is not None:

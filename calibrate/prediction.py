@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap import sim
 from gelgap.assets.image_file import read_image
 from gelgap.calibrate.light import SeenPoints
 from gelgap.calibrate.membranes import CALIBRATION_GEL, sphere_profiles
@@ -30,13 +31,12 @@ from gelgap.calibrate.poses import (
     start_pose,
 )
 from gelgap.calibrate.profiles import PressProfiles
+from gelgap.calibrate.residual import holds_for, residual_around
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.render.flat_field import load_maps
 from gelgap.render.imaging import psnr_db, srgb_encode
 from gelgap.render.normal_table import NormalTable
-from gelgap.sim import Pose, load_indenter, solve_pose
 from gelgap.sim.indenter import Indenter
-from gelgap.sim.plan import plan_visit
 
 _BEYOND_VIEW = 1.3
 Levels = tuple[float, float]
@@ -149,17 +149,17 @@ def _body(listed: ListedPress, press: PressPicture, folder: Path, quality: str) 
         raise ValueError(f"{name} must have depth_mm, and no radius_px, which only a ball leaves")
     try:
         file = str(folder / listed.indenter) if "." in listed.indenter else listed.indenter
-        body = load_indenter(file)
-        plan_visit(CALIBRATION_GEL, body, [_pose(listed, (0.0, 0.0))], quality)
+        body = sim.load_indenter(file)
+        sim.plan_solves(CALIBRATION_GEL, body, sim.PosePath("press", (_pose(listed, (0.0, 0.0)),)), quality)
     except (ValueError, FileNotFoundError) as error:
         raise type(error)(f"{name}: {error}") from None
     return body
 
 
-def _pose(listed: ListedPress, point_mm: Sequence[float]) -> Pose:
+def _pose(listed: ListedPress, point_mm: Sequence[float]) -> sim.Pose:
     roll_x_deg, roll_y_deg, twist_deg = listed.turn_deg
     (x_mm, y_mm), (shear_x_mm, shear_y_mm) = map(float, point_mm), listed.shear_mm
-    return Pose(
+    return sim.Pose(
         listed.depth_mm,
         shear_x_mm,
         shear_y_mm,
@@ -183,11 +183,11 @@ def _of_ball(
     half_mm = _BEYOND_VIEW / 2 * np.array(camera.footprint_mm(size_px))
     membrane = profiles.membrane(tuple(pose[:2]), float(pose[2]), tuple(half_mm))
     radius_mm, left = profiles.contact_radius_mm(pose[2]), None
-    if residual is not None and residual.holds_for(press.sphere_diameter_mm, radius_mm):
+    if residual is not None and holds_for(residual, press.sphere_diameter_mm, radius_mm):
         plane_mm, camera_mm = camera.plane_of_picture_mm(size_px), np.array(camera.position_mm)
         seen = SeenPoints.pressed(plane_mm, np.zeros(len(plane_mm), int), pose[None], [profiles], camera_mm)
         contact = np.array([*pose[:2] / (camera.footprint_mm(size_px)[0] / 2), radius_mm])
-        left = residual.around((seen.positions[:, :2] - pose[:2]) / radius_mm, contact)
+        left = residual_around(residual, (seen.positions[:, :2] - pose[:2]) / radius_mm, contact)
     return membrane, radii_away(untouched, center_px, radius_px) < 1, left
 
 
@@ -202,7 +202,7 @@ def _of_body(
         axis_mm = np.array(camera.position_mm[:2])
         nearer = 1 + press.depth_mm / camera.position_mm[2]  # the face stands nearer than the flat membrane
         point_mm = axis_mm + nearer * (camera.plane_points_mm(column, row, renderer.size_px)[0] - axis_mm)
-    state = solve_pose(CALIBRATION_GEL, body, _pose(listed, point_mm), quality)
+    state = sim.solve_pose(CALIBRATION_GEL, body, _pose(listed, point_mm), quality)
     if not state.converged:
         raise RuntimeError(
             f"{press.name}: the contact does not converge; try another --quality, or less depth"

@@ -18,9 +18,8 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.calibrate.marks import FoundMark, find_marks
 from gelgap.calibrate.membranes import sphere_profiles
 from gelgap.calibrate.pictures import ListedPress, PressList
-from gelgap.data.formats.convert import VIDEOS, video_pictures
-from gelgap.data.formats.pictures import encode_png
-from gelgap.data.frames.folders import REFERENCE_STEMS
+from gelgap.data.formats.pictures import REFERENCE_STEMS, encode_png
+from gelgap.data.formats.video import VIDEOS, video_pictures
 from gelgap.render.imaging import difference_picture
 
 LIST = "presses.toml"

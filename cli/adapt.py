@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal
 
-from gelgap import adapt, data
-from gelgap.assets.names import quoted, unknown_name
+from gelgap import adapt
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
-from gelgap.cli.keys import Meanings, Set, given, profile_keys
+from gelgap.cli.keys import Meanings, Set, given
+from gelgap.cli.label_ranges import label_ranges
 
 CONSTANT_MEAN = "constant-mean"
 SELECTION = "selection.csv"
@@ -17,12 +18,12 @@ SELECTION = "selection.csv"
 
 def check_methods(names: tuple[str, ...]) -> None:
     """Check names of methods, one at least, before torch is loaded; classes of one's own are checked later."""
-    known = adapt.method_names()
+    from gelgap.adapt.methods.registry import check_name
+
     if not names:
-        raise ValueError(f"name at least one; known: {', '.join(known)}")
+        raise ValueError(f"name at least one; known: {', '.join(adapt.method_names())}")
     for name in names:
-        if ":" not in name and name not in known:
-            raise ValueError(unknown_name("method", name, (*known, "FILE.py:CLASS")))
+        check_name(name)
 
 
 def check_selector(name: str) -> None:
@@ -32,18 +33,14 @@ def check_selector(name: str) -> None:
     find_selector(name)
 
 
-def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Return ranges by label, of texts such as `fz_n=-30:0`; a ValueError says what is wrong with one."""
-    named = []
-    for text in texts:
-        try:
-            name, bounds = text.split("=")
-            low, high = map(float, bounds.split(":"))
-        except ValueError:
-            raise ValueError(f"{quoted(text)} must be a label and its two bounds, as fz_n=-30:0") from None
-        named.append((name, (low, high)))
-    labels = data.Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
-    return dict(zip(labels.names, labels.ranges, strict=True))
+def profile_keys() -> Meanings:
+    """Return the keys of a training profile."""
+    from gelgap.adapt.profile import Profile
+
+    left_out = ("name", "settings")
+    return {
+        name: field.description or "" for name, field in Profile.model_fields.items() if name not in left_out
+    }
 
 
 @dataclass(frozen=True)
@@ -58,8 +55,14 @@ class Adapt(opt.Command):
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --set input=standardised --out std-runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select feature-mmd --out chosen
     """
+
+    former = MappingProxyType(
+        {
+            "--backbone": opt.Former("0.3.0", "write --set backbone=…"),
+        }
+    )
 
     when_stopped = "finished runs and epochs are kept, run the same command again to go on"
 
@@ -68,7 +71,7 @@ class Adapt(opt.Command):
     target: tuple[Path, ...]
     """Folder of the target domain, which may hold pictures alone; or several that are adapted to one by one."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
-    """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
+    """Adaptation methods, or your own as FILE.py:CLASS; a wrong name lists the known ones."""
     profile: tuple[opt.ProfileName, ...] = ("smoke",)
     set: Set = ()
     """Values that differ from the profile's, such as input=calibrated or backbone=resnet50; all keys are listed above.
@@ -90,8 +93,8 @@ class Adapt(opt.Command):
     weights: Annotated[Path | None, opt.optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
     select: Annotated[str | None, opt.optional("NAME"), check_selector] = None
-    """Choose a run for each target without its labels, by reverse-validation, feature-mmd, a-distance, source-risk,
-    iwcv or dev; the scores are written to selection.csv."""
+    """Choose a run for each target without its labels, by feature-mmd or source-risk; the scores are written to
+    selection.csv."""
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
@@ -146,7 +149,8 @@ def _show(runs: "Sequence[adapt.Run]") -> None:
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
     from gelgap.adapt.report import label_free_tables, method_titles
 
-    titles, first = method_titles(runs), runs[0]
+    titles = method_titles(runs)
+    first = runs[0]
     if first.target_test is None:
         for table in label_free_tables(runs):
             table.show()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.sim.solution import CacheEntry
+    from gelgap.sim.cache import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -24,19 +24,19 @@ class Cache(opt.Command):
     when_stopped = "what was deleted is gone; run the same command again to go on"
 
     clear: opt.Flag = False
-    """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
+    """Delete every cached solution, and shrunken pictures that do not lie beside their data."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
         from gelgap.assets.locks import cache_folder
         from gelgap.data.frames.stored import clear_picture_cache
-        from gelgap.render.light.spectra import clear_led_cache
-        from gelgap.sim.solution import cache_entries, cached_files, clear_cache
+        from gelgap.sim.cache import cache_entries
+        from gelgap.sim.solution import cached_files, clear_cache
 
-        files, verb = cached_files(), "deleted" if self.clear else "holds"
+        files = cached_files()
+        verb = "deleted" if self.clear else "holds"
         size = sum(file.stat().st_size for file in files)
         if self.clear:
-            clear_led_cache()
             if pictures := clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
             clear_cache()

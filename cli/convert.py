@@ -64,22 +64,25 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
     import pandas as pd
 
     means = dict.fromkeys(("R at rest", "G", "B"), "mean")
-    sums = dict.fromkeys(("pictures", "in contact", "dropped", "written"), "sum")
+    sums = dict.fromkeys(("pictures", "in contact", "dropped", "left out", "written"), "sum")
     formats = dict.fromkeys(means, "{:.1f}".format) | dict.fromkeys(("r", "r at 0"), "{:.3f}".format)
-    formats["lag"] = "{:.0f}".format
+    formats["lag"] = "{:g}".format
     names = {
         "in_contact": "in contact",
+        "left_out": "left out",
         "lag_range": "range",
         "correlation": "r",
         "correlation_at_0": "r at 0",
     }
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
-    every["range"] = [f"{own.lag_range[0]}…{own.lag_range[1]}" if own.lag_range else "" for own in clips]
+    every["range"] = [
+        f"{clip.lag_range[0]:g}…{clip.lag_range[1]:g}" if clip.lag_range else "" for clip in clips
+    ]
     every = every.astype({"lag": float, "r": float, "r at 0": float})
     by_clip = every.set_index(["session", "name"])[[*sums, "lag", "range", "r", "r at 0", *means]]
     by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
-    lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
+    lines = [table.to_string(formatters=formats, na_rep="") + "\n" for table in (by_clip, by_session)]
     if every["lag"].notna().any():
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself unless you stated it; range: the lags that "
@@ -90,8 +93,6 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         name = f"{clip.session}/{clip.name}"
         if clip.lag_at_limit:
             noted["the largest lag that was tried fits best, so the clocks may differ by more"].append(name)
-        if clip.lag and clip.lag_range and clip.lag_range[0] <= 0 <= clip.lag_range[1]:
-            noted["a lag of 0 fits as well as the applied one; --lag 0 applies it"].append(name)
         if not clip.in_contact:
             noted["no force above 0.3 N, so that all is at rest: is its unit right?"].append(name)
         if clip.begins_in_contact:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 import tyro
@@ -12,18 +13,24 @@ from gelgap.cli import options as opt
 
 @dataclass(frozen=True)
 class Export(opt.Command):
-    """Write domains in another format: the paper's folders, WebDataset tars, or a folder for Hugging Face.
+    """Write domains in another format: the paper's folders, or a folder for Hugging Face.
 
     For example:
       gelgap export data --format huggingface --split-by point --license cc-by-4.0 --out upload
     """
+
+    former = MappingProxyType(
+        {
+            "--format webdataset": opt.Former("0.3.0", "--format huggingface is read frame by frame, too"),
+        }
+    )
 
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     out: Annotated[Path, opt.output_folder]
     """New folder for the export."""
     format_name: Annotated[
-        Literal["paper", "webdataset", "huggingface"],
+        Literal["paper", "huggingface"],
         tyro.conf.arg(name="format"),
     ] = "paper"
     """The layout to write."""

@@ -41,10 +41,10 @@ class Finetune(opt.Command):
         """Fine-tune and print the errors."""
         if self.backbone is not None:
             adapt.use_backbone(self.backbone)
-        found = adapt.finetune(
+        tuned = adapt.finetune(
             self.model, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
         )
-        print(found)
+        print(tuned)
         if self.out is not None:
-            found.model.save(self.out)
+            tuned.model.save(self.out)
             print(f"wrote {self.out}")

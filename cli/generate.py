@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -10,13 +10,11 @@ from gelgap import domains, render, sim
 from gelgap.assets import list_presets
 from gelgap.assets.names import closest_name
 from gelgap.cli import options as opt
-from gelgap.cli.adapt import label_ranges
-from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
+from gelgap.cli.contact_keys import body_keys, gel_keys
+from gelgap.cli.generation import LOCALLY, GenerationOptions
+from gelgap.cli.keys import Meanings, Set, given
+from gelgap.cli.label_ranges import label_ranges
 from gelgap.data.formats.optional_columns import OptionalColumn
-from gelgap.domains.domain import Domain
-
-if TYPE_CHECKING:
-    from gelgap.domains.sweep import Variant
 
 DATA_SETS = list_presets("datasets")
 
@@ -25,7 +23,8 @@ def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
     from gelgap.data.frames.labels import PAPER_RANGES
 
-    given, papers = label_ranges(texts), PAPER_RANGES
+    given = label_ranges(texts)
+    papers = PAPER_RANGES
     if others := sorted(given.keys() - papers.keys()):
         raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(papers)}")
     return tuple((papers | given).values())
@@ -39,7 +38,7 @@ def check_what(words: tuple[str, ...]) -> None:
                 raise ValueError(f"{word} stands for several domains; name it alone")
             continue
         try:
-            Domain.parse(word)
+            domains.Domain.parse(word)
         except ValueError as error:
             near = closest_name(word, DATA_SETS)
             raise ValueError(f"{error}; data sets: {', '.join(DATA_SETS)}{near}") from None
@@ -99,30 +98,27 @@ class Generate(opt.Command):
         tuple[str, ...] | None, opt.optional("NAME=LOW:HIGH ...", "the paper's"), force_ranges
     ] = None
     """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = LOCALLY
 
     @classmethod
     def keys(cls) -> dict[str, Meanings]:
         fields = domains.DomainRecipe.model_fields
-        making = {name: fields[name].description for name in ("contacts", "interpolated")}
+        making = {name: fields[name].description or "" for name in ("contacts", "interpolated")}
         return {"gel": gel_keys(), "body": body_keys(), "making of the domains": making}
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
-        from gelgap.domains.sweep import write_sweep
-
         recipes, variants = self.recipes()
         if self.generation.dry_run:
             self.generation.estimate(recipes)
             return
         self.generation.generate(recipes, self.out)
         if variants:
-            print(f"gaps to the base: {write_sweep(variants, self.out)}")
+            print(f"gaps to the base: {domains.Sweep.write_gaps(variants, self.out)}")
 
-    def recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
-        """Return the domains to make and, of a sweep, its variants."""
+    def recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Any, ...]]":
+        """Return the domains to make and, of a sweep, what `Sweep.variants` returns."""
         from gelgap.assets.toml_file import read_toml
-        from gelgap.domains.sweep import sweep_variants
 
         gel, body, making = given(self.set, self.keys()).values()
         if not self.what and self.name is None:
@@ -153,7 +149,7 @@ class Generate(opt.Command):
             return domains.make_recipes(self.what, self.path, **settings), ()
         if "domains" in read_toml(first):
             return domains.load_recipes(first, **settings), ()
-        variants = sweep_variants(domains.Sweep.load(first), **settings)
+        variants = domains.Sweep.load(first).variants(**settings)
         return tuple(variant.recipe for variant in variants), variants
 
     def _pressed(self, body: dict[str, Any]) -> dict[str, Any]:
@@ -180,7 +176,7 @@ class Generate(opt.Command):
                 f"--name = {self.name!r}: names one domain; give it with the name of one domain or none, "
                 "not with a data set or a file"
             )
-        elastomer = sim.Elastomer.named(self.elastomer or Domain.parse(base).elastomer)
+        elastomer = sim.Elastomer.named(self.elastomer or domains.Domain.parse(base).elastomer)
         recipe = domains.own_recipe(
             self.name,
             self.path,
@@ -191,6 +187,7 @@ class Generate(opt.Command):
         )
         if self.lights_like is None:
             return (recipe,)
-        like, kinds = read_image(self.lights_like), self.illumination and [recipe.illumination]
+        like = read_image(self.lights_like)
+        kinds = self.illumination and [recipe.illumination]
         with named_in_errors(self.lights_like):
             return domains.in_drawn_lights(recipe, like, kinds)

@@ -43,7 +43,7 @@ class Inspect(opt.Command):
         for folder in folders:
             print(inspect_domain(folder))
             if base is not None:
-                from gelgap.domains.gap import gap_rows
+                from gelgap.domains.measured_gap import gap_rows
 
                 gap = {"base": base.name, "rows": gap_rows(data.open_domain(folder), base)}
                 print(f"  gap from {self.gap_to}:")

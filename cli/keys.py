@@ -3,7 +3,6 @@
 import contextlib
 import re
 import tomllib
-from collections import defaultdict
 from collections.abc import Mapping
 from itertools import chain
 from typing import Annotated, Any
@@ -21,34 +20,6 @@ _LIKE_A_NUMBER = re.compile("(?P<number>[-+]?[0-9]+[.,]?[0-9]*)(?P<unit>([µumc]
 Set = Annotated[
     Words, tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE ...", help_behavior_hint="")
 ]
-
-
-def gel_keys() -> Meanings:
-    """Return the keys of a gel."""
-    from gelgap.sim import Elastomer
-
-    return {name: field.description for name, field in Elastomer.model_fields.items()}
-
-
-def body_keys() -> Meanings:
-    """Return the keys of all bodies, each with the bodies that have it."""
-    from gelgap.sim.shapes import BODIES, fields_of
-
-    meanings: Meanings = {}
-    owners = defaultdict(list)
-    for body in BODIES:
-        for key, meaning in fields_of(body).items():
-            meanings.setdefault(key, meaning)
-            owners[key].append(body.shape)
-    return {key: f"{', '.join(owners[key])}: {meaning}" for key, meaning in meanings.items()}
-
-
-def profile_keys() -> Meanings:
-    """Return the keys of a training profile."""
-    from gelgap.adapt import Profile
-
-    left_out = ("name", "settings")
-    return {name: field.description for name, field in Profile.model_fields.items() if name not in left_out}
 
 
 def given(words: Words, keys: Mapping[str, Meanings]) -> dict[str, dict[str, Any]]:

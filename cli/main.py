@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Annotated, NoReturn, Union
+from typing import Annotated, Any, NoReturn, Union
 
 import tyro
 
@@ -25,7 +25,7 @@ from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.keys import advice_on, keys_listing
-from gelgap.cli.options import Command, check_values, output_folder
+from gelgap.cli.options import Command, check_values, output_folder, removed
 from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
@@ -49,7 +49,7 @@ For example:
 Every command explains itself with --help; --version says which gelgap this is. Add --debug to any command for a full
 traceback."""
 
-COMMANDS = {
+COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
     "press": Press,
     "render": Render,
@@ -88,14 +88,17 @@ def parse(words: Sequence[str]) -> Command:
         return _parse_command(name, tuple(words[1:]))
     # Of the list of commands each has a line; its own --help has all.
     listed = [
-        Annotated[command, tyro.conf.subcommand(name, description=command.__doc__.partition("\n")[0])]
+        Annotated[command, tyro.conf.subcommand(name, description=inspect.getdoc(command).partition("\n")[0])]
         for name, command in COMMANDS.items()
     ]
-    return tyro.cli(Union[tuple(listed)], prog="gelgap", description=DESCRIPTION, args=words)  # noqa: UP007
+    any_command: Any = Union[tuple(listed)]  # noqa: UP007
+    return tyro.cli(any_command, prog="gelgap", description=DESCRIPTION, args=words)
 
 
 def _parse_command(name: str, words: tuple[str, ...]) -> Command:
     command = COMMANDS[name]
+    if sentence := removed(words, command.former):
+        fail(sentence, EXIT_BAD_INPUT)
     # Keys are fields of models, which take their time to load.
     asks_for_help = not {"-h", "--help"}.isdisjoint(words)
     keys = command.keys() if asks_for_help else {}
@@ -144,7 +147,8 @@ def main(
     """
     started = time.perf_counter() if started is None else started
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    command, at_work = None, False
+    command = None
+    at_work = False
     try:
         try:
             if arguments == ["--version"]:

@@ -1,17 +1,15 @@
 """What the options of several commands share: types with their checks, how --help shows them, and settings by name."""
 
 import os
-import re
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import FunctionType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from types import FunctionType, MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
 
-from gelgap import domains
 from gelgap.assets.names import quoted
 from gelgap.cli.keys import Meanings
 
@@ -24,12 +22,33 @@ before its work need none here.
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
 
+class Former(NamedTuple):
+    """The last version that took an option, or a value of one, and what there is instead."""
+
+    version: str
+    instead: str
+
+
+def removed(words: Sequence[str], former: Mapping[str, Former]) -> str:
+    """Return a sentence on the first option among words that former versions alone took; else nothing."""
+    for number, word in enumerate(words):
+        option, _, value = word.partition("=")
+        value = value or next(iter(words[number + 1 :]), "")
+        for taken in (option, f"{option} {value}"):
+            if taken in former:
+                version, instead = former[taken]
+                return f"gelgap {version} was the last with {taken}: {instead}"
+    return ""
+
+
 class Command:
     """What the command line parses to: a frozen dataclass whose fields are its options."""
 
     when_stopped = "only solved physics is sure to be kept; run the same command again to start over"
     """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
+    former: ClassVar[Mapping[str, Former]] = MappingProxyType({})
+    """What former versions took and this one does not: options, and values as `--option value`."""
 
     @classmethod
     def keys(cls) -> dict[str, Meanings]:
@@ -124,59 +143,6 @@ OwnBackbone = Annotated[
 LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 
-def workers(given: str) -> None:
-    """Check a number of processes, `synchronous`, or an address with a port."""
-    from gelgap.domains.generation.cluster import check_scheduler
-
-    if re.fullmatch(r"[+-]?\d+", given):
-        between(1, 4096)(int(given))
-    else:
-        check_scheduler(given)
-
-
-Workers = Annotated[
-    str | None,
-    optional(
-        "N | ADDRESS",
-        "one process per core",
-        help="Processes on this machine, or the address of a Dask scheduler, such as tcp://host:8786; `synchronous`: "
-        "this process.",
-    ),
-    workers,
-]
-
-
-def processes_and_scheduler(given: str | None) -> tuple[int | None, str | None]:
-    """Return what --workers says: a number of processes or a scheduler, the other None."""
-    return (int(given), None) if given and given.isdigit() else (None, given)
-
-
-@dataclass(frozen=True)
-class GenerationOptions:
-    """Where and how domains are generated."""
-
-    workers: Workers = None
-    dry_run: Flag = False
-    """Only say what would be done: solves, frames, estimated time and disk."""
-    overwrite: Flag = False
-    """Replace domains under --out that hold another configuration."""
-
-    def generate(self, recipes: "Sequence[domains.DomainRecipe]", out: Path) -> None:
-        """Generate domains, and print the report."""
-        processes, scheduler = processes_and_scheduler(self.workers)
-        report = domains.generate_recipes(
-            recipes, out, scheduler=scheduler, workers=processes, overwrite=self.overwrite
-        )
-        print(report)
-
-    def estimate(self, recipes: "Sequence[domains.DomainRecipe]") -> None:
-        """Print what generating domains would take."""
-        print(domains.estimate(recipes, processes_and_scheduler(self.workers)[0]))
-
-
-LOCALLY = GenerationOptions()
-
-
 def check_values(command: Command) -> None:
     """Run the checks of a command's options.
 
@@ -219,5 +185,5 @@ def _problems(options: Any) -> Iterator[str]:
 
 def _notes(hint: Any) -> list[Any]:
     """Return what stands in an annotation beside the type, also inside `X | None`."""
-    own = hint.__metadata__ if get_origin(hint) is Annotated else ()
-    return [*own, *(note for part in get_args(hint) for note in _notes(part))]
+    notes = hint.__metadata__ if get_origin(hint) is Annotated else ()
+    return [*notes, *(note for part in get_args(hint) for note in _notes(part))]

@@ -46,7 +46,8 @@ class Predict(opt.Command):
 
         from gelgap.assets.image_file import read_image
 
-        model, reference = adapt.ForceModel.load(self.model, self.backbone), read_image(self.reference)
+        model = adapt.ForceModel.load(self.model, self.backbone)
+        reference = read_image(self.reference)
         rows: list[dict[str, object]] = []
         if self.camera is None:
             rows += adapt.predict_each(model, adapt.read_pictures(self.pictures), reference)

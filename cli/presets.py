@@ -7,7 +7,9 @@ import tyro
 
 from gelgap.assets import PRESET_KINDS, list_presets, load_preset
 from gelgap.cli import options as opt
-from gelgap.cli.keys import Meanings, body_keys, gel_keys, profile_keys
+from gelgap.cli.adapt import profile_keys
+from gelgap.cli.contact_keys import body_keys, gel_keys
+from gelgap.cli.keys import Meanings
 
 KEYS = {"elastomers": gel_keys, "indenters": body_keys, "profiles": profile_keys}
 
@@ -40,8 +42,8 @@ class Presets(opt.Command):
             from gelgap.sim.shapes import SHAPES
 
             print("shapes:")
-            for name, shape in SHAPES.items():
-                print(f"  {name:<16} {_as_set(shape().model_dump(), body_keys())}")
+            for name, body in SHAPES.items():
+                print(f"  {name:<16} {_as_set(body().model_dump(), body_keys())}")
 
 
 def _as_set(values: dict[str, Any], keys: Meanings) -> str:

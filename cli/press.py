@@ -11,7 +11,8 @@ import tyro
 
 from gelgap import render, sim, view
 from gelgap.cli import options as opt
-from gelgap.cli.keys import Meanings, Set, body_keys, gel_keys, given
+from gelgap.cli.contact_keys import body_keys, gel_keys
+from gelgap.cli.keys import Meanings, Set, given
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
@@ -103,7 +104,7 @@ class Press(opt.Command):
             pressed = sim.pose_for_force(elastomer, indenter, self.force_n, self.point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
         state = sim.solve_pose(elastomer, indenter, pose, self.quality)
-        found = state.diagnostics
+        diagnostics = state.diagnostics
         if self.save is not None:
             state.save(self.save)
         if self.traction is not None:
@@ -123,8 +124,8 @@ class Press(opt.Command):
             "torque_n_mm": state.torque_n_mm.tolist(),
             "contact_radius_mm": float(state.contact_radius_mm),
             "converged": bool(state.converged),
-            "indenter_mm": state.contact_solve.indenter_mm.tolist(),
-            **{name: getattr(found, name) for name in DIAGNOSTICS},
+            "indenter_mm": state.indenter_mm.tolist(),
+            **{name: getattr(diagnostics, name) for name in DIAGNOSTICS},
             "wall_s": time.perf_counter() - started,
         }
         if self.json:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 import tyro
@@ -9,6 +10,7 @@ import tyro
 from gelgap import adapt, domains
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
+from gelgap.cli.generation import LOCALLY, GenerationOptions
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,12 @@ class Pretrain(opt.Command):
       gelgap pretrain --domains 60 --frames 60 --out pretrained --dry-run
       gelgap pretrain --domains 60 --frames 60 --stream --out streamed
     """
+
+    former = MappingProxyType(
+        {
+            "--without": opt.Former("0.3.0", "every kind of frame is drawn"),
+        }
+    )
 
     when_stopped = "finished shards, solves and epochs are kept, run the same command again to go on"
     fills_cache = True
@@ -44,7 +52,7 @@ class Pretrain(opt.Command):
     stream: opt.Flag = False
     """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and four new
     lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = LOCALLY
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
@@ -58,7 +66,7 @@ class Pretrain(opt.Command):
             )
         drawn = {"seed": self.seed, "size_px": self.size, "quality": self.quality}
         if self.stream:
-            self._train_on_stream(domains.PressStream(ranges, **drawn), profile, self.domains * self.frames)
+            _train_on_stream(domains.PressStream(ranges, **drawn), self, profile, self.domains * self.frames)
             return
         recipes = domains.pretraining_recipes(self.domains, self.frames, ranges, **drawn)
         self.generation.estimate(recipes)
@@ -73,22 +81,24 @@ class Pretrain(opt.Command):
         with shown_progress() as progress:
             print(adapt.pretrain(folders, self.out, profile, self.seed, progress=progress))
 
-    def _train_on_stream(
-        self, stream: "domains.PressStream", profile: "adapt.Profile", frames_per_epoch: int
-    ) -> None:
-        solves = [
-            solve for press in range(stream.ranges.presses) for solve in stream.plan(press).solved.solves
-        ]
-        print(
-            f"solves   {len(solves)} for {stream.ranges.presses} gels and spheres, as they are drawn, about "
-            f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
-            f"training {profile.source_epochs} epochs of {frames_per_epoch} new frames each",
-            flush=True,
-        )
-        if self.generation.dry_run:
-            return
-        from gelgap.adapt.few_labels import pretrain_on_stream
 
-        with shown_progress() as progress:
-            every = {"frames_per_epoch": frames_per_epoch, "progress": progress}
-            print(pretrain_on_stream(stream, self.out, profile, self.seed, **every))
+def _train_on_stream(
+    stream: "domains.PressStream", command: Pretrain, profile: "adapt.Profile", frames_per_epoch: int
+) -> None:
+    """Say what the solves take, and train on frames that are made meanwhile."""
+    solves = [solve for press in range(stream.ranges.presses) for solve in stream.plan(press).solved.solves]
+    print(
+        f"solves   {len(solves)} for {stream.ranges.presses} gels and spheres, as they are drawn, about "
+        f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
+        f"training {profile.source_epochs} epochs of {frames_per_epoch} new frames each",
+        flush=True,
+    )
+    if command.generation.dry_run:
+        return
+    from gelgap.adapt.few_labels import pretrain_on_stream
+
+    with shown_progress() as progress:
+        trained = pretrain_on_stream(
+            stream, command.out, profile, command.seed, frames_per_epoch=frames_per_epoch, progress=progress
+        )
+        print(trained)

@@ -14,17 +14,15 @@ LOG = logging.getLogger(__name__)
 
 
 def finished_runs(folder: Path) -> None:
-    """Check a folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
+    """Check a folder with finished runs of `gelgap adapt`, at any depth."""
     opt.input_folder("a folder with runs of gelgap adapt")(folder)
-    if not any(folder.rglob("run.json")) and not any(folder.glob("*.jsonl")):
+    if not any(folder.rglob("run.json")):
         raise ValueError(f"holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one")
 
 
 @dataclass(frozen=True)
 class Report(opt.Command):
-    """Write tables and figures of the runs that `gelgap adapt` and `gelgap benchmark adaptation` left in a folder.
-
-    A folder with the benchmark's records gets the benchmark's report: tables of all parts that were run.
+    """Write tables and figures of the runs that `gelgap adapt` left in a folder.
 
     For example:
       gelgap report runs
@@ -38,9 +36,7 @@ class Report(opt.Command):
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
         from gelgap.assets.locks import sole_use
-        from gelgap.benchmarks.adaptation.report import is_benchmark, write_benchmark_report
 
-        write = write_benchmark_report if is_benchmark(self.folder) else adapt.write_report
         LOG.info("drawing the report of %s", self.folder)
         with sole_use(self.out or self.folder):
-            print(f"wrote {write(self.folder, self.out)}")
+            print(f"wrote {adapt.write_report(self.folder, self.out)}")

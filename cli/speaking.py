@@ -27,7 +27,9 @@ class Speaker(logging.Handler):
         _ROOMS.setLevel(self._level)
 
     def emit(self, record: logging.LogRecord) -> None:
-        now, kind, wait_s = time.monotonic(), str(record.msg), SECONDS_BETWEEN_LINES
+        now = time.monotonic()
+        kind = str(record.msg)
+        wait_s = SECONDS_BETWEEN_LINES
         if record.levelno >= logging.WARNING:
             kind, wait_s = record.getMessage(), math.inf
         if now - self._said_at.get(kind, -math.inf) < wait_s:

@@ -1,14 +1,12 @@
 """`gelgap view`: a page in the browser that shows one press live."""
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 from gelgap import render, sim
+from gelgap.assets.extras import need_extra
 from gelgap.cli import options as opt
-
-INSTALL = "pip install 'gelgap[view]'"
 
 
 @dataclass(frozen=True)
@@ -41,18 +39,19 @@ class View(opt.Command):
 
     def run(self, started: float) -> None:
         """Serve the page until Ctrl-C."""
-        if find_spec("viser") is None:
-            raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
+        need_extra("gelgap view", "view", "viser")
         import webbrowser
 
         from gelgap.view.marks import MarksPage
         from gelgap.view.page import Page
         from gelgap.view.state import Configuration
 
+        page: MarksPage | Page
         if (folder := Path(self.sensor)).is_dir():
             page = MarksPage(folder, self.host, self.port)
         else:
-            sensor, gel = render.Sensor.named(self.sensor), sim.Elastomer.named(self.elastomer)
+            sensor = render.Sensor.named(self.sensor)
+            gel = sim.Elastomer.named(self.elastomer)
             page = Page(Configuration(gel, sensor, sensor.lit_by(self.illumination)), self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)

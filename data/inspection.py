@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gelgap.assets import html_page
 from gelgap.assets.image_file import decode_image, stated_size_px
+from gelgap.assets.pages import html_page
 from gelgap.assets.whole_file import write_whole
 from gelgap.data.formats.domain_folder import MANIFEST, Damage, DomainFolder
 from gelgap.data.formats.pictures import encode_png, mismatch

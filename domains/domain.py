@@ -34,16 +34,16 @@ class Domain:
         ValueError
             If the name is not made of known presets; the message lists them.
         """
-        found = {domain.name: domain for domain in known_domains()}
-        if name not in found:
+        by_name = {domain.name: domain for domain in known_domains()}
+        if name not in by_name:
             raise ValueError(
-                f"domain {quoted(name)} is unknown{closest_name(name, found)}; a name is m or wm (with or "
+                f"domain {quoted(name)} is unknown{closest_name(name, by_name)}; a name is m or wm (with or "
                 "without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
                 f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "
                 "wmb1i1"
             )
-        return found[name]
+        return by_name[name]
 
 
 def known_domains() -> tuple[Domain, ...]:

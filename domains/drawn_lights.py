@@ -32,17 +32,19 @@ def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illuminati
     """
     rng = np.random.default_rng([number, LIGHTS])
     base = kinds[int(rng.integers(len(kinds)))]
-    left, spectra = [led.spectrum for led in base.leds], []
+    left = [led.spectrum for led in base.leds]
+    spectra = []
     # Which permutation of them; 64 bits tell those of 20, so that of more the last 20 exchange theirs.
     order = int(rng.integers(math.factorial(min(len(left), 20))))
     while left:
         chosen, order = divmod(order, math.factorial(len(left) - 1))
         spectra.append(left.pop(chosen))
-    turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
+    turn = rng.uniform(0, 2 * math.pi)
+    white = rng.random() < 1 / 3
     about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
     leds = []
-    for led, own in zip(base.leds, spectra, strict=True):
-        spectrum = WhiteSpectrum(cct_k=float(rng.uniform(3000, 7500))) if white else own
+    for led, spectrum in zip(base.leds, spectra, strict=True):
+        spectrum = WhiteSpectrum(cct_k=float(rng.uniform(3000, 7500))) if white else spectrum
         place = {name: tuple((about_z @ getattr(led, name)).tolist()) for name in ("position_mm", "facing")}
         leds.append(led.model_copy(update={**place, "spectrum": spectrum}))
     return vary_illumination(base.model_copy(update={"leds": tuple(leds)}), _SPREAD, rng)
@@ -63,7 +65,7 @@ def in_drawn_lights(
         Without it the first `LIGHTS` are taken as they are drawn.
     kinds
         Lights around which is drawn; by default the presets of `KINDS`. Where the sensor's is of none of these kinds,
-        no shear was read (docs/results/README.md).
+        no shear was read (docs/results/adapt-or-randomise.md).
 
     Raises
     ------
@@ -77,7 +79,8 @@ def in_drawn_lights(
         text = "lamps %.1f mm off the middle are turned into a view that reaches %.1f mm: name other lamps"
         LOG.warning(text, lamp_mm, view_mm)
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
-    path, recipes = recipe.path, []
+    path = recipe.path
+    recipes = []
     if recipe.interpolated:
         # Each serves its own contacts from the library of all: they are solved once.
         whole = recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality
@@ -87,8 +90,8 @@ def in_drawn_lights(
             recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})
     points = list(dict.fromkeys(pose.point_id for pose in path.poses if pose.depth_mm > 0))
     for place, number in enumerate(numbers[: len(points)]):
-        own = set(points[place::LIGHTS])
-        poses = tuple(pose for pose in path.poses if pose.point_id in own)
+        shown_points = set(points[place::LIGHTS])
+        poses = tuple(pose for pose in path.poses if pose.point_id in shown_points)
         if poses[0].depth_mm > 0:
             poses = (path.poses[0], *poses)  # the reference without contact
         parts = {

@@ -1,18 +1,10 @@
-"""How far two domains are apart: in colour, modulus, markers, force, and in what no picture shows."""
+"""How far two domains are apart by their recipes: in colour, modulus and markers."""
 
-from collections import Counter
 from dataclasses import dataclass
 
-import numpy as np
-
-from gelgap.data.facts import unseen_differences
-from gelgap.data.frames.dataset import LabelledFrames
-from gelgap.data.frames.splits import paired_contacts
-from gelgap.data.frames.stored import GeneratedDomain
-from gelgap.domains.generation.shard import renderer_of
-from gelgap.domains.recipe import DomainRecipe, differences, recipe_of, shown_markers
+from gelgap.domains.recipe import DomainRecipe, differences, shown_markers
+from gelgap.domains.renderers import renderer_of
 from gelgap.render import Markers
-from gelgap.render.imaging import picture_gap
 from gelgap.render.renderer import reference_gap
 
 
@@ -39,7 +31,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
         colour_difference=round(colours.mean, 3),
         colour_difference_p95=round(colours.percentile_95, 3),
-        markers=markers_gap(*(shown_markers(own.sensor, own.markers) for own in (base, other))),
+        markers=markers_gap(*(shown_markers(recipe.sensor, recipe.markers) for recipe in (base, other))),
         fields=tuple(name for name, _, _ in differences(base.configuration(), other.configuration())),
     )
 
@@ -49,40 +41,3 @@ def markers_gap(before: Markers | None, after: Markers | None) -> str:
     if before == after:
         return "equal"
     return "added" if before is None else "removed" if after is None else "changed"
-
-
-def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
-    """Return (what, value) of the gap from `base`: colours, and, where known, modulus, markers and forces.
-
-    Raises
-    ------
-    ValueError
-        If their pictures have different sizes.
-    """
-    seen = picture_gap(base.reference, frames.reference)
-    rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
-    if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
-        gap = domain_gap(recipe_of(base), recipe_of(frames))
-        colours = _colours(gap.colour_difference, gap.colour_difference_p95)
-        counts = Counter(field.split(".")[0] for field in gap.fields)
-        fields = [f"{name} ({count})" if count > 1 else name for name, count in counts.items()]
-        rows += [
-            ("the same without markers and noise", colours),
-            ("modulus", f"× {gap.modulus_ratio:.4g}"),
-            ("markers", gap.markers),
-            ("fields that differ", ", ".join(fields) or "none"),
-        ]
-        mine, theirs = paired_contacts(frames, base)
-        if len(mine):
-            change = np.abs(frames.force_n[mine] - base.force_n[theirs]).mean(axis=0)
-            text = ", ".join(f"F{axis} {value:.4f}" for axis, value in zip("xyz", change, strict=True))
-            rows.append((f"mean force difference of {len(mine)} paired contacts, N", text))
-        rows += [
-            ("no picture shows", note)
-            for note in unseen_differences(base.name, base.facts, frames.name, frames.facts)
-        ]
-    return rows
-
-
-def _colours(mean: float, percentile_95: float) -> str:
-    return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"

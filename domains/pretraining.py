@@ -18,20 +18,12 @@ from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.data.random_stream import word
-from gelgap.domains.recipe import DomainRecipe, Interval
+from gelgap.domains.recipe import DomainRecipe, Interval, RisingInterval, rises
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, Sphere
 from gelgap.sim.problem import QualityName
 
-
-def _rises(interval: Interval) -> Interval:
-    if interval[1] < interval[0]:
-        raise ValueError("must be a lowest and a highest value, in this order")
-    return interval
-
-
-RisingInterval = Annotated[Interval, AfterValidator(_rises)]
-PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_rises)]
+PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(rises)]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
@@ -96,7 +88,8 @@ class PretrainingRanges(Settings):
             If it is not valid TOML, a field is unknown, or a value is out of range.
         """
         with named_in_errors(path):
-            default, given = cls.default().model_dump(), read_toml(path)
+            default = cls.default().model_dump()
+            given = read_toml(path)
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
             return cls(**(default | given))
@@ -133,7 +126,8 @@ def pretraining_recipes(
         )
     recipes = []
     for number in range(domains):
-        name, press = f"pretraining-{number:04d}", draws.press(number % ranges.presses)
+        name = f"pretraining-{number:04d}"
+        press = draws.press(number % ranges.presses)
         sensor, illumination, markers = draws.seen_by(number)
         (modulus_mpa,) = draws.values("modulus", number, "young_modulus_mpa")
         poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
@@ -192,7 +186,8 @@ class Draws:
         )
         (diameter_mm,) = self.values("sphere of a press", number, "sphere_diameter_mm")
         deepest, travel = self.stream("depths of a press", number).random(2).tolist()
-        sphere, thickness_mm = Sphere(diameter_mm=round(diameter_mm, 2)), round(thickness_mm, 2)
+        sphere = Sphere(diameter_mm=round(diameter_mm, 2))
+        thickness_mm = round(thickness_mm, 2)
         gel = {
             "poisson_ratio": round(ratio, 4),
             "friction": round(friction, 3),
@@ -218,7 +213,8 @@ class Draws:
 
     def light(self, number: int) -> tuple[Sensor, Illumination]:
         """Return a sensor without light of its own, and its light: varied, and its colours change places."""
-        rng, ranges = self.stream("light", number), self.ranges
+        rng = self.stream("light", number)
+        ranges = self.ranges
         sensor = _sensor(str(rng.choice(ranges.sensors)))
         other = str(rng.choice(ranges.illuminations))
         illumination = sensor.illumination or Illumination.preset(other)
@@ -263,7 +259,8 @@ class Draws:
 
     def poses(self, number: int, press: Press, frames: int, view_mm: tuple[float, float]) -> tuple[Pose, ...]:
         """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
-        rng, contacts = self.stream("contacts", number), len(press.contacts_mm)
+        rng = self.stream("contacts", number)
+        contacts = len(press.contacts_mm)
         rounds = -(-(frames - 1) // contacts)
         order = np.concatenate([rng.permutation(contacts) for _ in range(rounds)])[: frames - 1]
         poses = [Pose(depth_mm=0.0, contact_class=0)]

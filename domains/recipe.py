@@ -13,7 +13,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, TypeAdapter, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    TypeAdapter,
+    model_validator,
+)
 
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
@@ -25,7 +33,6 @@ from gelgap.data.facts import DomainFacts
 from gelgap.data.formats.domain_folder import DomainName
 from gelgap.data.formats.optional_columns import OptionalColumn
 from gelgap.data.frames.labels import PAPER_FORCE_RANGE_N
-from gelgap.data.frames.stored import GeneratedDomain
 from gelgap.data.random_stream import random_stream
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
 from gelgap.render import Illumination, Markers, Sensor
@@ -40,6 +47,16 @@ from gelgap.sim.shapes import AnyIndenter
 
 LOG = logging.getLogger(__name__)
 Interval = tuple[float, float]
+
+
+def rises(interval: Interval) -> Interval:
+    """Return an interval; a ValueError if its ends are in the wrong order."""
+    if interval[1] < interval[0]:
+        raise ValueError("must be a lowest and a highest value, in this order")
+    return interval
+
+
+RisingInterval = Annotated[Interval, AfterValidator(rises)]
 Side = Annotated[int, Field(ge=16, le=4096)]
 
 INPAINTED_IN_THE_PAPER = ("wmb0i0",)
@@ -241,7 +258,8 @@ class DomainRecipe(Settings):
 
     def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts of each indenter that really happen."""
-        errors, poses = self.drawn_errors(), self.commanded_poses()
+        errors = self.drawn_errors()
+        poses = self.commanded_poses()
         if any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg)):
             poses = tuple(errors.actual(pose) for pose in poses)
         return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
@@ -264,7 +282,8 @@ def shown_markers(sensor: Sensor, wanted: bool) -> Markers | None:
 
 def facts_of(recipe: DomainRecipe) -> DomainFacts:
     """Return what readers of the domain need to know of its gel, camera and gauge."""
-    gel, camera = recipe.elastomer, recipe.sensor.camera
+    gel = recipe.elastomer
+    camera = recipe.sensor.camera
     return DomainFacts(
         young_modulus_mpa=gel.young_modulus_mpa,
         poisson_ratio=gel.poisson_ratio,
@@ -277,11 +296,6 @@ def facts_of(recipe: DomainRecipe) -> DomainFacts:
         camera=Pinhole(**{name: getattr(camera, name) for name in Pinhole.model_fields}),
         traction_half_extent_mm=view_half_extent_mm(camera, recipe.size_px),
     )
-
-
-def recipe_of(domain: GeneratedDomain) -> DomainRecipe:
-    """Return the configuration that a domain was generated from."""
-    return DomainRecipe(**domain.manifest["configuration"])
 
 
 def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -407,8 +421,8 @@ def own_recipe(
     """
     if any(domain.name == name and domain.illumination != OWN_LIGHT for domain in known_domains()):
         raise ValueError(f"name = {name!r}: means a domain of presets; choose another, as {name}-own")
-    own = {"name": name, "elastomer": elastomer, "illumination": illumination}
-    settings |= {field: value for field, value in own.items() if value is not None}
+    parts = {"name": name, "elastomer": elastomer, "illumination": illumination}
+    settings |= {field: value for field, value in parts.items() if value is not None}
     (recipe,) = make_recipes([base], path, **settings | {"inpainted": ()})
     return recipe
 

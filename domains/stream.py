@@ -29,7 +29,8 @@ LOG = logging.getLogger(__name__)
 # Samples until the next gel and sphere joins those that are drawn from: the first picture waits for one alone.
 _SAMPLES_PER_PRESS = 512
 # Samples in a row that share lights with cameras, and how many of these: each takes as long as some pictures.
-_SPAN, _LOOKS_PER_SPAN = 128, 4
+_SPAN = 128
+_LOOKS_PER_SPAN = 4
 _KEPT_LOOKS = 2 * _LOOKS_PER_SPAN
 # Depths begin at this share of the deepest, and are drawn so that forces are about evenly spread.
 _SHALLOWEST = 0.15
@@ -122,8 +123,12 @@ class PressStream(IterableDataset):
         if batch_size < 1:
             raise ValueError(f"batch_size = {batch_size}: must be 1 or more")
         self.ranges = ranges or PretrainingRanges.default()
-        self.seed, self.size_px, self.quality = seed, size_px, quality
-        self.start, self.stop, self.batch_size = start, stop, batch_size
+        self.seed = seed
+        self.size_px = size_px
+        self.quality = quality
+        self.start = start
+        self.stop = stop
+        self.batch_size = batch_size
         self._draws = Draws(self.ranges, seed)
         self._libraries: dict[int, PoseLibrary] = {}
 
@@ -162,14 +167,16 @@ class PressStream(IterableDataset):
                     *(press + 1, self.ranges.presses, len(left_s), sum(left_s)),
                 )
             # Workers that wait for the same library begin with different solves of it.
-            solves, info = plan.solved.solves, get_worker_info()
+            solves = plan.solved.solves
+            info = get_worker_info()
             first = info.id % len(solves) if info else 0
             self._libraries[press] = plan.build(solve_all((*solves[first:], *solves[:first])))
         return self._libraries[press]
 
     def plan(self, press: int) -> LibraryPlan:
         """Return what has to be solved for a gel and sphere."""
-        drawn, farthest = self._draws.press(press), self.ranges.travel_by_depth[1]
+        drawn = self._draws.press(press)
+        farthest = self.ranges.travel_by_depth[1]
         deepest_mm = drawn.contacts_mm[-1][0]
         ranges = PoseRanges(_SHALLOWEST * deepest_mm, deepest_mm, farthest * deepest_mm, farthest)
         gel = Elastomer(young_modulus_mpa=self._draws.at("young_modulus_mpa", 0.5), **drawn.gel)
@@ -187,10 +194,12 @@ class PressStream(IterableDataset):
         opened = min(1 + index // _SAMPLES_PER_PRESS, self.ranges.presses)
         press = int(rng.integers(opened))
         number = index // _SPAN * _LOOKS_PER_SPAN + int(rng.integers(_LOOKS_PER_SPAN))
-        look, library = _look(self._draws, number, self.size_px, self.quality), self.library(press)
+        look = _look(self._draws, number, self.size_px, self.quality)
+        library = self.library(press)
         (modulus,) = self._draws.values("modulus of a sample", index, "young_modulus_mpa")
         gel = library.plan.elastomer.model_copy(update={"young_modulus_mpa": modulus})
-        lattice, why = look.renderer.lattice, None
+        lattice = look.renderer.lattice
+        why = None
         for tries in range(1, _MOST_TRIES + 1):
             pose = self._pose(rng, library.plan.ranges, look)
             state = library.state(gel, pose, axes_mm=(lattice.x_mm, lattice.y_mm))

@@ -16,11 +16,18 @@ from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
 from gelgap.data.formats.domain_folder import DomainName
 from gelgap.domains.gap import domain_gap
-from gelgap.domains.pretraining import RisingInterval
-from gelgap.domains.recipe import DomainRecipe, make_recipes, read_with_path
+from gelgap.domains.recipe import DomainRecipe, RisingInterval, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
 
 Value = float | int | str | bool | None
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One domain of a sweep: its recipe, and the factors' values, by which it differs from the base."""
+
+    recipe: DomainRecipe
+    values: dict[str, Value]
 
 
 class Factor(Settings):
@@ -102,59 +109,54 @@ class Sweep(Settings):
         for row in rows:
             yield dict(zip((factor.field for factor in self.factors), row, strict=True))
 
+    def variants(self, **settings: Any) -> tuple[Variant, ...]:
+        """Return the base, first and without values, and every variant, named `<sweep>-001` and so on.
 
-@dataclass(frozen=True)
-class Variant:
-    """One domain of a sweep: its recipe, and the values by which it differs from the base."""
+        Raises
+        ------
+        ValueError
+            If a factor's field does not exist or its value is out of range.
+        """
+        (base,) = make_recipes([self.base], self.path, **settings)
+        variants = [Variant(base, {})]
+        for number, values in enumerate(self.points(), start=1):
+            name = f"{self.name}-{number:03d}"
+            configuration = base.configuration() | {"name": name}
+            if base.inpainted_from:
+                # The pictures with markers that are inpainted are this variant's own, with noise of their own.
+                configuration["inpainted_from"] = f"{name}-with-markers"
+            drawn_as: dict[str, Value] = {}
+            if self.variation is not None:
+                rng = np.random.default_rng([self.seed, number])
+                drawn_as = {"draw": number}
+                light = vary_illumination(base.illumination, self.variation, rng)
+                configuration["illumination"] = light.model_dump(mode="json")
+                configuration["sensor"] = vary_sensor(base.sensor, self.variation, rng).model_dump(
+                    mode="json"
+                )
+            for factor in self.factors:
+                if factor.field in values:
+                    _change(configuration, factor.field.split("."), factor, values[factor.field])
+            recipe = DomainRecipe(**configuration)
+            if base.sensor.flat_field:
+                # Of a flat field, a configuration does not say where its file lies.
+                sensor = recipe.sensor.model_copy(update={"flat_field": base.sensor.flat_field})
+                recipe = recipe.model_copy(update={"sensor": sensor})
+            variants.append(Variant(recipe, drawn_as | values))
+        return tuple(variants)
 
-    recipe: DomainRecipe
-    values: dict[str, Value]
-
-
-def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
-    """Return the base, first and without values, and every variant, named `<sweep>-001` and so on.
-
-    Raises
-    ------
-    ValueError
-        If a factor's field does not exist or its value is out of range.
-    """
-    (base,) = make_recipes([sweep.base], sweep.path, **settings)
-    variants = [Variant(base, {})]
-    for number, values in enumerate(sweep.points(), start=1):
-        name = f"{sweep.name}-{number:03d}"
-        configuration = base.configuration() | {"name": name}
-        if base.inpainted_from:
-            # The pictures with markers that are inpainted are this variant's own, with noise of their own.
-            configuration["inpainted_from"] = f"{name}-with-markers"
-        drawn_as: dict[str, Value] = {}
-        if sweep.variation is not None:
-            rng, drawn_as = np.random.default_rng([sweep.seed, number]), {"draw": number}
-            light = vary_illumination(base.illumination, sweep.variation, rng)
-            configuration["illumination"] = light.model_dump(mode="json")
-            configuration["sensor"] = vary_sensor(base.sensor, sweep.variation, rng).model_dump(mode="json")
-        for factor in sweep.factors:
-            if factor.field in values:
-                _change(configuration, factor.field.split("."), factor, values[factor.field])
-        recipe = DomainRecipe(**configuration)
-        if base.sensor.flat_field:
-            # Of a flat field, a configuration does not say where its file lies.
-            sensor = recipe.sensor.model_copy(update={"flat_field": base.sensor.flat_field})
-            recipe = recipe.model_copy(update={"sensor": sensor})
-        variants.append(Variant(recipe, drawn_as | values))
-    return tuple(variants)
-
-
-def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
-    """Write `sweep.json`: each domain's factors and its gap to the base."""
-    base = variants[0].recipe
-    table = {
-        variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
-        for variant in variants
-    }
-    path, content = Path(out_dir) / "sweep.json", with_checksum({"base": base.name, "domains": table})
-    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False).encode())
-    return path
+    @staticmethod
+    def write_gaps(variants: Sequence[Variant], out_dir: Path | str) -> Path:
+        """Write `sweep.json`: each domain's factors and its gap to the base."""
+        base = variants[0].recipe
+        table = {
+            variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
+            for variant in variants
+        }
+        path = Path(out_dir) / "sweep.json"
+        content = with_checksum({"base": base.name, "domains": table})
+        write_whole(path, json.dumps(content, indent=1, ensure_ascii=False).encode())
+        return path
 
 
 def _change(node: Any, steps: Sequence[str], factor: Factor, value: Value) -> None:

@@ -91,7 +91,8 @@ class TactileSensor:
         markers: bool = True,
         noise_seed: int | None = None,
     ) -> None:
-        self.elastomer, sensor = Elastomer.named(elastomer), Sensor.named(sensor)
+        self.elastomer = Elastomer.named(elastomer)
+        sensor = Sensor.named(sensor)
         light = sensor.lit_by(illumination)
         sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
@@ -124,7 +125,8 @@ class TactileSensor:
             raise ValueError(f"shear_mm = {shear_mm}, point_mm = {point_mm}: each must be (x, y) in mm")
         place_mm = np.asarray(point_mm, float) + np.asarray(shear_mm, float)
         anchor_mm = np.array(point_mm, float) if self._anchor_mm is None else self._anchor_mm
-        drag_mm, flags = place_mm - anchor_mm, []
+        drag_mm = place_mm - anchor_mm
+        flags = []
         length_mm = math.hypot(*drag_mm)
         shallowest_mm = self.library.depths_mm[0]
         reaches_mm = float(np.interp(depth_mm, self.library.depths_mm, self._slides_from_mm))
@@ -137,17 +139,17 @@ class TactileSensor:
         lattice = self.renderer.lattice
         state = self.library.state(self.elastomer, pose, axes_mm=(lattice.x_mm, lattice.y_mm))
         self._anchor_mm = anchor_mm if depth_mm > 0 else None
-        found = state.diagnostics
+        diagnostics = state.diagnostics
         told = {
             "extrapolated": 0 < depth_mm < shallowest_mm,
-            "coarse": found.coarse,
-            "folded": found.folded,
-            "not converged": not state.converged and not found.folded,
+            "coarse": diagnostics.coarse,
+            "folded": diagnostics.folded,
+            "not converged": not state.converged and not diagnostics.folded,
         }
         flags += [word for word, applies in told.items() if applies]
         membrane = state.x_mm, state.y_mm, state.displacement_mm
-        picture = None if found.folded else self.renderer.picture(*membrane, self.markers, self._rng)
-        return Reading(picture, state.force_n, np.array(found.force_error_n), state, tuple(flags))
+        picture = None if diagnostics.folded else self.renderer.picture(*membrane, self.markers, self._rng)
+        return Reading(picture, state.force_n, np.array(diagnostics.force_error_n), state, tuple(flags))
 
 
 def _sliding_travels(library: PoseLibrary) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-from .camera import Camera as Camera
+from .imaging import Camera as Camera
 from .imaging import encode as encode
 from .light.leds import Illumination as Illumination
 from .light.leds import Led as Led

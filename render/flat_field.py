@@ -17,7 +17,7 @@ from pydantic import Field, field_serializer, model_validator
 from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.assets.checksums import file_sha256, sha256
 from gelgap.assets.settings import Settings
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 from gelgap.render.light.scattered import EVERYWHERE, PLACES, Scale, Span, places
 from gelgap.render.surface import Surface
 
@@ -73,10 +73,9 @@ class FlatField(Settings):
             raise ValueError(
                 f"flat_field.file = {self.file!r} must lie in the folder of the sensor file, {folder}"
             )
-        found = self.model_copy(update={"file": str(path)})
-        load_maps(found)
-        digest = self.sha256 or file_sha256(path)
-        return found.model_copy(update={"sha256": digest})
+        whole = self.model_copy(update={"file": str(path)})
+        load_maps(whole)
+        return whole.model_copy(update={"sha256": self.sha256 or file_sha256(path)})
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,8 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
             "loaded, offset and dots"
         )
     for name, values in maps.items():
-        shape, (least, most) = values.shape, SIDES_PX
+        shape = values.shape
+        least, most = SIDES_PX
         low, high = BOUNDS[name]
         if len(shape) != 3 or shape[2] != 3 or not all(least <= side <= most for side in shape[:2]):
             wrong = f"has shape {shape}; (h, w, 3) with sides of {least}…{most} is allowed"
@@ -185,8 +185,8 @@ def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:
     # OpenCV maps at most 32,766 rows, so that a list of points is folded to rows.
     rows = at_px.size // (2 * _MAPPED_COLUMNS) + 1
     points = np.resize(at_px.astype(np.float32), (rows, _MAPPED_COLUMNS, 2))
-    found = cv2.remap(dots, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found.reshape(-1, 3)[: at_px.size // 2].reshape(*at_px.shape[:-1], 3)
+    seen = cv2.remap(dots, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return seen.reshape(-1, 3)[: at_px.size // 2].reshape(*at_px.shape[:-1], 3)
 
 
 @numba.njit(cache=True)
@@ -216,8 +216,11 @@ class FlatFieldFilter:
         loaded = np.ones_like(maps.ratio) if maps.loaded is None else maps.loaded
         self._excess = np.ascontiguousarray(maps.ratio * (loaded - 1))
         offset = np.zeros_like(maps.ratio) if maps.offset is None else maps.offset
-        self._offset, self._offset_excess = np.ascontiguousarray(offset), offset * (loaded - 1)
-        self._dots, self._camera, self._size_px = maps.dots, camera, size_px
+        self._offset = np.ascontiguousarray(offset)
+        self._offset_excess = offset * (loaded - 1)
+        self._dots = maps.dots
+        self._camera = camera
+        self._size_px = size_px
 
     def apply(self, linear: np.ndarray, surface: Surface, dotted: np.ndarray | None) -> None:
         """Make a (h, w, 3) float32 picture the real sensor's under the surface's dent, in place.
@@ -230,8 +233,8 @@ class FlatFieldFilter:
         terms = places(x_mm, y_mm, self._settings.span_mm, self._settings.scale_mm, 2)
         levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in self._settings.gain]
         gain = np.clip(levels, 0.25, 4.0).astype(np.float32)
-        maps = self._ratio, self._excess, self._offset, self._offset_excess
-        _multiply(linear, *maps, np.float32(min(volume, 1.0)), gain)
+        share = np.float32(min(volume, 1.0))
+        _multiply(linear, self._ratio, self._excess, self._offset, self._offset_excess, share, gain)
         if self._dots is not None and dotted is not None:
             rest = np.pad(dotted, ((0, 0), (0, 0), (0, 1)))
             linear *= map_dots(self._dots, self._camera.project_px(rest, self._size_px) - 0.5)

@@ -36,19 +36,27 @@ def marker_cells(markers: Markers) -> MarkerCells | None:
     if markers.positions_mm or markers.layout != "grid":
         centers_mm, first, per_mm = _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
     else:
-        centers_mm, per_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM), 1 / np.broadcast_to(markers.pitch_mm, 2)
+        centers_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM)
+        per_mm = 1 / np.broadcast_to(markers.pitch_mm, 2)
         first = np.array([markers.columns, markers.rows]) / 2 - np.array(markers.offset_mm) * per_mm
     radius_mm = np.float32(markers.diameter_mm / 2)
     reach_mm = radius_mm + np.float32(0.2 * min(markers.spacing_mm, LARGEST_PITCH_MM))
-    arrays = (values.astype(np.float32) for values in (centers_mm, first, per_mm))
-    return MarkerCells(*arrays, radius_mm, reach_mm, markers.shape == "square")
+    return MarkerCells(
+        centers_mm.astype(np.float32),
+        first.astype(np.float32),
+        per_mm.astype(np.float32),
+        radius_mm,
+        reach_mm,
+        markers.shape == "square",
+    )
 
 
 def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return small cells around markers (n, 2), each with the marker that is nearest to its middle."""
     from scipy.spatial import cKDTree
 
-    low, high = points_mm.min(0) - markers.diameter_mm, points_mm.max(0) + markers.diameter_mm
+    low = points_mm.min(0) - markers.diameter_mm
+    high = points_mm.max(0) + markers.diameter_mm
     cell_mm = max(markers.diameter_mm / _CELLS_PER_MARKER, (high - low).max() / _MOST_CELLS)
     columns, rows = np.ceil((high - low) / cell_mm).astype(int)
     middles = low + (np.indices((rows, columns))[::-1].transpose(1, 2, 0) + 0.5) * cell_mm

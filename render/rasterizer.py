@@ -1,7 +1,11 @@
 """pyrender as a geometry rasteriser: the deformed membrane in, rest coordinates of every pixel out.
 
-One persistent off-screen context per process; fixed topology; the vertex buffer is overwritten for each frame. What the
-rasteriser writes does not depend on light, so one raster serves any number of illuminations and markers.
+pyrender makes the off-screen context (one per process), holds the mesh, compiles the shaders, computes the camera's
+matrix and draws the mesh. Ours are the two shaders, the target, since pyrender's holds 8 bits and coordinates need 32,
+and the vertex buffer, which is overwritten for each frame: pyrender would build its mesh anew. For that the methods
+with an underscore that pyrender's own renderer calls are called here too; the version is pinned.
+
+What is written does not depend on light, so one raster serves any number of illuminations and markers.
 
 pyrender 0.1.45 pins PyOpenGL 3.1.0, which lacks `OSMesaCreateContextAttribs` and has a context pointer that cannot be
 hashed; NumPy 2 lacks `np.infty`; and pyrender's viewer imports pyglet, which wants libGL that off-screen rendering
@@ -16,11 +20,12 @@ import sys
 import threading
 import types
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.render.camera import Camera
+from gelgap.assets.pinhole import Pinhole
 from gelgap.render.surface import Lattice
 
 PLATFORMS = ("osmesa", "egl")
@@ -124,13 +129,13 @@ def import_pyrender() -> tuple[types.ModuleType, str]:
         os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
     vars(np).setdefault("infty", np.inf)
     viewer = types.ModuleType("pyrender.viewer")
-    viewer.Viewer = None
+    vars(viewer)["Viewer"] = None
     sys.modules.setdefault("pyrender.viewer", viewer)
     return importlib.import_module("pyrender"), platform
 
 
 @lru_cache(maxsize=1)
-def _context(process_id: int):
+def _context(process_id: int) -> Any:
     """Return this process's off-screen context; a forked child makes its own."""
     _, platform = import_pyrender()
     if platform == "osmesa":
@@ -163,59 +168,33 @@ def _grid_triangles(rows: int, columns: int) -> np.ndarray:
 class Rasterizer:
     """Rasterises one grid topology through one camera into a float32 picture of rest coordinates."""
 
-    def __init__(self, camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> None:
+    def __init__(self, camera: Pinhole, lattice: Lattice, size_px: tuple[int, int]) -> None:
         pyrender, _ = import_pyrender()
         from OpenGL import GL
-        from pyrender.constants import ProgramFlags
         from pyrender.renderer import Renderer
-        from pyrender.shader_program import ShaderProgramCache
 
         self._gl = GL
-        flags = pyrender.RenderFlags.NONE
         self._context = _context(os.getpid())
         self._context.make_current()
-        self._size_px = width, height = size_px
-        self._geometry = np.zeros((height, width, 2), np.float32)
-        self._key: np.ndarray | None = None
+        self._size_px = size_px
+        self._geometry = np.zeros((size_px[1], size_px[0], 2), np.float32)
+        self._rastered_mm: np.ndarray | None = None
         rest_mm = lattice.points_mm().astype(np.float32).reshape(-1, 2)
-        self._vertices = np.zeros((len(rest_mm), 5), np.float32)
+        self._vertices = np.zeros((len(rest_mm), 5), np.float32)  # position and rest coordinates
         self._vertices[:, 3:] = rest_mm
-        primitive = pyrender.Primitive(
+        self._mesh = pyrender.Primitive(
             positions=self._vertices[:, :3].copy(),
             texcoord_0=rest_mm,
             indices=_grid_triangles(lattice.rows, lattice.columns),
             mode=pyrender.GLTF.TRIANGLES,
             material=pyrender.MetallicRoughnessMaterial(doubleSided=True),
         )
-        scene = pyrender.Scene()
-        scene.add(pyrender.Mesh([primitive]))
-        focal_px = camera.focal_length_px(width)
-        pose = np.diag([1.0, -1.0, -1.0, 1.0])
-        pose[:3, 3] = camera.position_mm
-        distance_mm = -camera.position_mm[2]
-        scene.add(
-            pyrender.IntrinsicsCamera(
-                focal_px, focal_px, width / 2, height / 2, znear=0.1 * distance_mm, zfar=3 * distance_mm
-            ),
-            pose=pose,
-        )
-        self._renderer = Renderer(width, height)
-        self._renderer._program_cache = ShaderProgramCache(shader_dir=str(asset_path("shaders")))
-        self._framebuffer, self._renderbuffers = self._float_framebuffer(width, height)
-        distortion = np.asarray(camera.radial_distortion, np.float32)
-        farthest = camera.farthest_slope(size_px)
-        # pyrender's own light loop is not used: its hook hands over the lens, and its target is our float buffer.
-        self._renderer._bind_lighting = lambda scene, program, node, flags: (
-            program.set_uniform("radial_distortion", distortion),
-            program.set_uniform("farthest_slope", farthest),
-        )
-        self._renderer._configure_forward_pass_viewport = self._bind_target
-        # The first picture compiles the program and hands over camera, lens and all else that stays; others only draw.
-        self._renderer.render(scene, flags)
-        self._vertex_buffer = primitive._buffers[0]
-        program = self._renderer._get_primitive_program(primitive, flags, ProgramFlags.USE_MATERIAL)
-        program.set_uniform = lambda *_: None
-        self._drawn = primitive, program, flags
+        self._mesh._add_to_context()
+        self._vertex_buffer = self._mesh._buffers[0]
+        self._program = _program(camera, size_px)
+        self._flags = pyrender.RenderFlags.NONE
+        self._renderer = Renderer(*size_px)
+        self._framebuffer, self._renderbuffers = self._float_framebuffer(*size_px)
 
     def _float_framebuffer(self, width: int, height: int) -> tuple[int, np.ndarray]:
         gl = self._gl
@@ -231,53 +210,73 @@ class Rasterizer:
             raise RuntimeError(f"this OpenGL cannot render to a {width}×{height} float buffer")
         return framebuffer, buffers
 
-    def _bind_target(self, flags: int) -> None:
-        gl = self._gl
-        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
-        gl.glViewport(0, 0, *self._size_px)
-        gl.glClearColor(NOWHERE_MM, NOWHERE_MM, 0.0, 0.0)
-        gl.glEnable(gl.GL_DEPTH_TEST)
-        gl.glDepthMask(gl.GL_TRUE)
-        gl.glDepthFunc(gl.GL_LESS)
-        gl.glDepthRange(0.0, 1.0)
-
     def geometry(self, positions_mm: np.ndarray) -> np.ndarray:
         """Return (h, w, 2) float32: rest x and y in mm of the membrane in each pixel; `NOWHERE_MM` where it is not.
 
         `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call, so that the caller
         holds `LOCK` until it is read; the same positions again are not rastered again.
         """
-        if self._key is not None and np.array_equal(self._key, positions_mm):
-            return self._geometry[::-1]
+        if self._rastered_mm is None or not np.array_equal(self._rastered_mm, positions_mm):
+            self._vertices[:, :3] = positions_mm.reshape(-1, 3)
+            self._draw()
+            self._rastered_mm = positions_mm.copy()
+        return self._geometry[::-1]
+
+    def _draw(self) -> None:
         gl = self._gl
-        self._vertices[:, :3] = positions_mm.reshape(-1, 3)
         self._context.make_current()
         gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
         gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
-        primitive, program, flags = self._drawn
-        self._bind_target(flags)
+        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
+        gl.glViewport(0, 0, *self._size_px)
+        gl.glClearColor(NOWHERE_MM, NOWHERE_MM, 0.0, 0.0)
+        gl.glEnable(gl.GL_DEPTH_TEST)
         gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
-        program._bind()
-        self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
-        program._unbind()
+        self._program._bind()
+        self._renderer._bind_and_draw_primitive(self._mesh, np.eye(4), self._program, self._flags)
+        self._program._unbind()
         gl.glReadPixels(0, 0, *self._size_px, gl.GL_RG, gl.GL_FLOAT, self._geometry)
-        self._key = positions_mm.copy()
-        return self._geometry[::-1]
 
     def delete(self) -> None:
         """Free what this rasteriser holds in the OpenGL context."""
         gl = self._gl
         self._context.make_current()
+        self._mesh.delete()
+        self._program.delete()
         self._renderer.delete()
         gl.glDeleteFramebuffers(1, [self._framebuffer])
         gl.glDeleteRenderbuffers(2, self._renderbuffers)
 
 
+def _program(camera: Pinhole, size_px: tuple[int, int]) -> Any:
+    """Return the shaders of `assets/shaders`, compiled, with a camera's matrices and lens."""
+    from pyrender import IntrinsicsCamera
+    from pyrender.shader_program import ShaderProgram
+
+    width, height = size_px
+    focal_px = camera.focal_length_px(width)
+    distance_mm = -camera.position_mm[2]
+    near_mm, far_mm = 0.1 * distance_mm, 3 * distance_mm
+    projection = IntrinsicsCamera(focal_px, focal_px, width / 2, height / 2, znear=near_mm, zfar=far_mm)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = camera.position_mm
+    folder = asset_path("shaders")
+    program = ShaderProgram(str(folder / "mesh.vert"), str(folder / "mesh.frag"))
+    program._add_to_context()
+    program._bind()
+    program.set_uniform("V", np.linalg.inv(pose))
+    program.set_uniform("P", projection.get_projection_matrix(width=width, height=height))
+    program.set_uniform("radial_distortion", np.asarray(camera.radial_distortion, np.float32))
+    program.set_uniform("farthest_slope", camera.farthest_slope(size_px))
+    program._unbind()
+    return program
+
+
 # By process, camera, grid and picture size.
-_rasterizers: dict[tuple[int, Camera, Lattice, tuple[int, int]], Rasterizer] = {}
+_rasterizers: dict[tuple[int, Pinhole, Lattice, tuple[int, int]], Rasterizer] = {}
 
 
-def rasterizer_for(camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> Rasterizer:
+def rasterizer_for(camera: Pinhole, lattice: Lattice, size_px: tuple[int, int]) -> Rasterizer:
     """Return this process's rasteriser for a camera, grid and picture size; a few are kept, the oldest is freed."""
     key = (os.getpid(), camera, lattice, size_px)
     with LOCK:

@@ -2,7 +2,7 @@
 
 import copy
 import logging
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba.core import event
@@ -35,6 +35,23 @@ QUALITIES: dict[str, tuple[float, ShadowDetail]] = {
 }
 
 
+class _Announcement(event.Listener):
+    """Warns at the first compilation while it listens; a function that is loaded from numba's cache is none."""
+
+    made = False
+
+    def on_start(self, event: event.Event) -> None:
+        if not self.made:
+            self.made = True
+            LOG.warning(FIRST_USE)
+
+    def on_end(self, event: event.Event) -> None:
+        """Say nothing: what is compiled next follows at once."""
+
+
+_ANNOUNCEMENT = _Announcement()
+
+
 class MembraneRenderer:
     """Renders membranes through one sensor under one illumination.
 
@@ -64,20 +81,26 @@ class MembraneRenderer:
             raise ValueError(f"render quality {quality!r} is unknown; known: {', '.join(QUALITIES)}")
         if not all(16 <= side <= 4096 for side in size_px):
             raise ValueError(f"size_px is {size_px[0]}×{size_px[1]}; each side must lie in 16…4096")
+        self.sensor = sensor
+        self.illumination = illumination
+        self.quality = quality
         spacing_mm, self._shadows = QUALITIES[quality]
-        self.sensor, self.illumination, self.quality = sensor, illumination, quality
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm)
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         self._marker_cells = marker_cells(sensor.markers)
         ratio = np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
         self._marker_ratio = ratio.astype(np.float32)
-        vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
-        self._gain = imaging.vignetting_gain(sensor.camera, self.size_px) if vignetted else None
-        self._flat_field = None if field is None else FlatFieldFilter(field, sensor.camera, self.size_px)
+        self._gain = None
+        if sensor.camera.vignetting > 0:
+            self._gain = imaging.vignetting_gain(sensor.camera, self.size_px)
+        self._flat_field = None
+        if sensor.flat_field is not None:
+            self._flat_field = FlatFieldFilter(sensor.flat_field, sensor.camera, self.size_px)
         self._set_colours(illumination)
         self._set_scattered(illumination)
-        self._set_leds(illumination)
+        with event.install_listener("numba:compile", _ANNOUNCEMENT):
+            self._set_leds(illumination)
         self._set_table(illumination)
 
     def __repr__(self) -> str:
@@ -92,7 +115,8 @@ class MembraneRenderer:
         It gives the pictures of a new one, sooner: what the illuminations have in common is not computed again, which
         for LEDs in the same places is all but their colours.
         """
-        other, before = copy.copy(self), self.illumination
+        before = self.illumination
+        other = copy.copy(self)
         other.illumination = illumination
         other._set_colours(illumination)
         if illumination.scattered != before.scattered:
@@ -104,7 +128,8 @@ class MembraneRenderer:
 
     def _set_colours(self, illumination: Illumination) -> None:
         """Compute what depends on the LEDs' colours."""
-        glossy, radiance = self.sensor.coating.specular, illumination.led_to_camera(self.sensor.camera)
+        glossy = self.sensor.coating.specular
+        radiance = illumination.led_to_camera(self.sensor.camera)
         diffuse = radiance * np.asarray(self.sensor.coating.albedo) / np.pi
         self._lambert_to_linear = ((1 - glossy) * diffuse).astype(np.float32)
         # Rows as `gloss` gives them: base and highlight of each LED.
@@ -112,8 +137,10 @@ class MembraneRenderer:
         self._gloss_to_linear = gloss_to_linear.reshape(-1, 3).astype(np.float32)
 
     def _set_scattered(self, illumination: Illumination) -> None:
-        scattered, exposure = illumination.scattered, self.sensor.camera.exposure
-        self._scattered = None if scattered is None else ScatteredTable(scattered, self.lattice, exposure)
+        self._scattered = None
+        if illumination.scattered is not None:
+            exposure = self.sensor.camera.exposure
+            self._scattered = ScatteredTable(illumination.scattered, self.lattice, exposure)
 
     def _set_leds(self, illumination: Illumination) -> None:
         """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
@@ -125,7 +152,8 @@ class MembraneRenderer:
 
     def _set_table(self, illumination: Illumination) -> None:
         """Prepare the share of the sensor's table of normals, which holds under its own light alone."""
-        self._table, sensor = None, self.sensor
+        self._table = None
+        sensor = self.sensor
         if sensor.table_share == 0 or illumination != sensor.illumination:
             return
         surface = shared_surface(self.lattice, self._flat, "reference")
@@ -135,8 +163,8 @@ class MembraneRenderer:
         self._table = TableShare(table, sensor.table_share, sensor.camera, flat, untouched)
 
     def _gloss(self, surface: Surface, light: DirectLight, reference: np.ndarray | None) -> np.ndarray:
-        camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
-        return gloss(surface, self._leds, light, camera_mm, roughness, reference)
+        roughness = self.sensor.coating.roughness
+        return gloss(surface, self._leds, light, self.sensor.camera.position_mm, roughness, reference)
 
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""
@@ -302,22 +330,3 @@ def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
 def reference_gap(one: MembraneRenderer, other: MembraneRenderer) -> imaging.ColourGap:
     """Return the colour gap of two renderers' pictures of the undeformed membrane, without markers and noise."""
     return imaging.picture_gap(one.reference(markers=False), other.reference(markers=False))
-
-
-class _Announcement(event.Listener):
-    """Warns at the first compilation of a function of gelgap; one that is loaded from numba's cache is none."""
-
-    def __init__(self) -> None:
-        self._made = False
-
-    def on_start(self, event: Any) -> None:
-        function = getattr(event.data.get("dispatcher"), "py_func", None)
-        if not self._made and getattr(function, "__module__", "").startswith("gelgap."):
-            self._made = True
-            LOG.warning(FIRST_USE)
-
-    def on_end(self, event: Any) -> None:
-        """Say nothing: what is compiled next follows at once."""
-
-
-event.register("numba:compile", _Announcement())

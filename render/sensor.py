@@ -22,16 +22,19 @@ from pydantic import (
 
 from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.assets.whole_file import write_whole
-from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
+from gelgap.render.imaging import Camera
 from gelgap.render.light.leds import Illumination
-from gelgap.render.normal_table import BallResidual
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
 _Share = Annotated[float, Field(ge=-10, le=10)]
 _Code = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Row = tuple[_Share, _Share, _Share]
+_Residual = Annotated[float, Field(ge=-255, le=255)]
+_Length = Annotated[float, Field(gt=0, le=100)]
+# Of a `BallResidual`: 1, x, y and radius, times 18 hats of the distance, times 9 waves of the angle.
+RESIDUAL_TERMS = 4 * 18 * 9
 
 
 class Coating(Settings):
@@ -192,6 +195,20 @@ def marker_rest_mm(markers: Markers) -> np.ndarray:
     for row, column in markers.missing:
         positions[row, column] = np.nan
     return positions
+
+
+class BallResidual(Settings):
+    """What a calibration leaves around one ball's contacts, in code values (see `calibrate/residual.py`).
+
+    It is linear in the contact's x and y, in half views, and in its radius, in mm. No renderer draws it.
+    """
+
+    diameter_mm: _Length
+    least: tuple[float, float, _Length] = Field(description="x, y and radius, each of some fitted contact")
+    largest: tuple[float, float, _Length]
+    coefficients: tuple[tuple[_Residual, _Residual, _Residual], ...] = Field(
+        min_length=RESIDUAL_TERMS, max_length=RESIDUAL_TERMS, repr=False
+    )
 
 
 # What a fit leaves in a sensor: absent from files and hashes where there is none.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 
 # What a state covers by convention: the paper's 12×9 mm footprint and a margin of 1 mm for shadows and perspective.
 STATE_HALF_EXTENT_MM = (7.0, 5.5)

@@ -77,7 +77,8 @@ def vary_sensor(sensor: Sensor, variation: Variation, rng: np.random.Generator) 
     keeps = np.array([1.0, 1 - lost_blue / 3, 1 - lost_blue])
     albedo = np.clip(np.asarray(sensor.coating.albedo) * level * keeps, 0, 1)
     coating = sensor.coating.model_copy(update={"albedo": tuple(albedo.tolist())})
-    own = sensor.illumination
-    illumination = vary_illumination(own, variation, rng) if own is not None else None
+    illumination = sensor.illumination
+    if illumination is not None:
+        illumination = vary_illumination(illumination, variation, rng)
     # A table of normals holds for the light in which it was measured alone.
     return sensor.model_copy(update={"coating": coating, "illumination": illumination, "table_share": 0.0})

@@ -56,7 +56,7 @@ def elastic_state(
     nodes = tetrahedra.ravel()
     holding = np.stack(
         [np.bincount(nodes, force[..., axis].ravel(), len(vertices_mm)) for axis in range(3)], axis=-1
-    )
+    ).astype(float)
     return ElasticState(float((volume * energy).sum()), holding, j)
 
 
@@ -91,10 +91,11 @@ def audit_contact(
     out_of_balance = float(np.abs(holding[free]).max(initial=0.0))
     strongest = float(push.max(initial=0.0))
     loaded = push > _NEGLIGIBLE_LOAD_SHARE * strongest
-    excess, friction = -1.0, np.broadcast_to(friction, len(positions_mm))[touching][loaded]
-    if (friction > 0).any():
+    excess = -1.0
+    coefficients = np.broadcast_to(friction, len(positions_mm))[touching][loaded]
+    if np.any(coefficients > 0):
         # The largest force on a free vertex shows how uncertain the friction is.
-        excess = float(((drag[loaded] - out_of_balance) / (friction * push[loaded]) - 1).max())
+        excess = float(((drag[loaded] - out_of_balance) / (coefficients * push[loaded]) - 1).max())
     return SolveDiagnostics(
         residual=out_of_balance / size,
         imbalance=float(np.linalg.norm(total + backing)) / size,

@@ -51,8 +51,10 @@ class FrictionalContacts:
     """
 
     def __init__(self, gel: GelModel, data: Any, problem: ContactProblem) -> None:
-        self._gel, self._data, self._indenter = gel, data, problem.indenter
-        self._friction, static = float(problem.friction), problem.static_friction
+        self._gel, self._data = gel, data
+        self._indenter: Indenter = problem.indenter
+        self._friction = float(problem.friction)
+        static = problem.static_friction
         self._static_excess = 0.0 if static is None else static - self._friction
         # A contact's frame leads from the indenter to the node, or back: MuJoCo orders its two geoms by their types.
         is_sphere = gel.model.geom_type[gel.indenter_geom] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -62,13 +64,15 @@ class FrictionalContacts:
         self._slid_mm = np.zeros(gel.model.ngeom)
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
-        self._held = self._landed = np.zeros(0, dtype=bool)
+        self._held = np.zeros(0, dtype=bool)
+        self._landed = np.zeros(0, dtype=bool)
         # How the indenter has turned in this load step.
         self._turned = np.eye(3)
         self._recesses = recesses_of(problem)
         if self._recesses is not None:
-            surface, rest_mm = gel.mesh.surface, gel.mesh.vertices_mm
-            self._area_mm2 = shares_mm2(rest_mm, surface[Delaunay(rest_mm[surface, :2]).simplices])
+            rest_mm = gel.mesh.vertices_mm
+            triangles = Delaunay(rest_mm[gel.mesh.surface, :2]).simplices
+            self._area_mm2 = shares_mm2(rest_mm, gel.mesh.surface[triangles])
 
     @property
     def nodes(self) -> Ints:
@@ -125,7 +129,9 @@ class FrictionalContacts:
 
     def begin_load_step(self, slid_mm: Floats) -> None:
         """Begin a new load step, at the next contacts, before which geoms have slid by `slid_mm` (n,)."""
-        self._start_mm, self._slid_mm, self._turned = None, slid_mm, np.eye(3)
+        self._start_mm = None
+        self._slid_mm = slid_mm
+        self._turned = np.eye(3)
 
     def turn(self, turn: Floats, indenter: Indenter) -> None:
         """Go on with the indenter turned by a matrix (3, 3) about its origin; what sticks to it goes along."""
@@ -136,7 +142,8 @@ class FrictionalContacts:
 
     def carried_mm(self, turn: Floats) -> Floats:
         """Return how far a turn (3, 3) of the indenter carries its surface along normal and tangents, (contacts, 3)."""
-        place_mm, frames = self._places_mm()[self.nodes], self._data.contact.frame.reshape(-1, 3, 3)
+        place_mm = self._places_mm()[self.nodes]
+        frames = self._data.contact.frame.reshape(-1, 3, 3)
         return np.einsum("nij,nj->ni", frames, place_mm @ turn.T - place_mm) * self._sign
 
     def impose_friction(self, active: NDArray[np.bool_], turn: Floats | None = None) -> None:
@@ -149,7 +156,9 @@ class FrictionalContacts:
         """
         data, nodes, place_mm = self._data, self.nodes, self._places_mm()
         if self._start_mm is None:
-            self._start_mm, self._anchor_mm, self._held = place_mm, place_mm.copy(), active.copy()
+            self._start_mm = place_mm
+            self._anchor_mm = place_mm.copy()
+            self._held = active.copy()
         self._landed = active & ~self._held
         self._anchor_mm[self._landed] = (self._start_mm + place_mm)[self._landed] / 2
         self._held |= self._landed
@@ -273,7 +282,8 @@ class ContactNewton:
         A is the one that was factorised last, all else is the present state's. LinAlgError if A is not positive
         definite, or not finite.
         """
-        data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
+        data = self._data
+        kept_dofs, indenter_dofs = self._condensation.kept_dofs, self._indenter_dofs
         force = data.qfrc_smooth + data.efm_c
         contact_dofs = data.efc_J_colind.reshape(-1, 3, 6)[:, 0]
         right_side = self._condensation.condense(force)
@@ -289,7 +299,8 @@ class ContactNewton:
         number = np.empty(len(force), dtype=np.int64)
         number[moving] = np.arange(len(moving))
         solution = self._minimum(np.concatenate([force[indenter_dofs], right_side]), number[contact_dofs])
-        kept, split = np.empty(len(kept_dofs)), len(indenter_dofs)
+        kept = np.empty(len(kept_dofs))
+        split = len(indenter_dofs)
         kept[touched] = solution[split:]
         left = others - coupling @ kept[touched]
         kept[~touched] = linalg.solve_triangular(factor, left, trans=1, lower=True, check_finite=False)
@@ -305,12 +316,14 @@ class ContactNewton:
         coupling = self._lower[np.ix_(outer, inner)] + self._lower[np.ix_(inner, outer)].T
         factor = linalg.cholesky(self._lower[np.ix_(outer, outer)], lower=True, check_finite=False)
         coupling = linalg.solve_triangular(factor, coupling, lower=True, check_finite=False)
-        own = self._lower[np.ix_(inner, inner)]
-        own = own + np.tril(own, -1).T - coupling.T @ coupling
-        own_factor = linalg.cho_factor(own, lower=True, check_finite=False)
-        inverse = linalg.cho_solve(own_factor, np.eye(len(inner)), check_finite=False)
-        self._touched, self._factor_of_others, self._coupling = touched, factor, coupling
-        self._stiffness = linalg.block_diag(np.diag(self._indenter_mass), own)
+        lower = self._lower[np.ix_(inner, inner)]
+        condensed = lower + np.tril(lower, -1).T - coupling.T @ coupling
+        condensed_factor = linalg.cho_factor(condensed, lower=True, check_finite=False)
+        inverse = linalg.cho_solve(condensed_factor, np.eye(len(inner)), check_finite=False)
+        self._touched = touched
+        self._factor_of_others = factor
+        self._coupling = coupling
+        self._stiffness = linalg.block_diag(np.diag(self._indenter_mass), condensed)
         self._compliance = linalg.block_diag(np.diag(1 / self._indenter_mass), inverse)
 
     def _minimum(self, force: Floats, dofs: Ints) -> Floats:
@@ -319,12 +332,13 @@ class ContactNewton:
         S is the condensed stiffness. By Newton's method with a line search; `relative` is J x − a_ref.
         """
         jacobian, stiffness = self._data.efc_J.reshape(-1, 3, 6), self._stiffness
-        given, left = np.linalg.norm(force), np.inf
+        given = np.linalg.norm(force)
+        left = np.inf
         solution, relative = self._start(force, jacobian, dofs)
         for _ in range(_MOST_ITERATIONS):
             contact_force = self._contact_force(relative, stiffness=True)
             residual = stiffness @ solution - force - _on_dofs(jacobian, contact_force, dofs, len(force))
-            last, left = left, np.linalg.norm(residual)
+            last, left = left, float(np.linalg.norm(residual))
             forces = np.linalg.norm(contact_force) + given
             if left <= _RESIDUAL_TOLERANCE * forces or (
                 left > last / 2 and left <= _ROUNDED_RESIDUAL * forces + self._rounding_n(solution, dofs)
@@ -334,7 +348,8 @@ class ContactNewton:
             along = np.einsum("cij,cj->ci", jacobian, increment[dofs]).ravel()
             slope = residual @ increment + contact_force @ along
             length = self._line_search(slope, increment @ stiffness @ increment, relative, along)
-            solution, relative = solution + length * increment, relative + length * along
+            solution = solution + length * increment
+            relative = relative + length * along
         self._relative[self._data.contact.geom.max(axis=1)] = np.nan_to_num(relative, nan=1.0).reshape(-1, 3)
         return solution
 
@@ -379,11 +394,13 @@ class ContactNewton:
         free = -compliance @ residual
         if not len(pressing):
             return free
-        columns, dofs = jacobian[pressing].transpose(0, 2, 1) @ root, dofs[pressing]
+        columns = jacobian[pressing].transpose(0, 2, 1) @ root
+        dofs = dofs[pressing]
         # A contact's first three dofs are the indenter's.
-        own, of_node = dofs[:, 3:].ravel(), columns[:, 3:].transpose(0, 2, 1)
+        node_dofs = dofs[:, 3:].ravel()
+        of_node = columns[:, 3:].transpose(0, 2, 1)
         count = len(pressing)
-        tangent = of_node @ compliance[np.ix_(own, own)].reshape(count, 3, -1)
+        tangent = of_node @ compliance[np.ix_(node_dofs, node_dofs)].reshape(count, 3, -1)
         tangent = of_node @ tangent.reshape(3 * count, -1).T.reshape(count, 3, -1)
         tangent = tangent.reshape(3 * count, -1)
         of_indenter = columns[:, :3].transpose(0, 2, 1).reshape(-1, 3)
@@ -396,7 +413,8 @@ class ContactNewton:
 
     def _roots(self) -> tuple[Ints, Floats]:
         """Return which contacts (p,) press at the last force, and R (p, 3, 3) of each, whose stiffness is R Rᵀ."""
-        data, states = self._data, mujoco.mjtConstraintState
+        data = self._data
+        states = mujoco.mjtConstraintState
         # An array is compared with a number, which is faster than with MuJoCo's own constant.
         quadratic, cone = int(states.mjCNSTRSTATE_QUADRATIC), int(states.mjCNSTRSTATE_CONE)
         state = data.efc_state.reshape(-1, 3)[:, 0]
@@ -426,4 +444,4 @@ class ContactNewton:
 def _on_dofs(rows: Floats, values: Floats, dofs: Ints, count: int) -> Floats:
     """Return what rows (c, 3, 6), each times its value (3 c,), add up to on the `dofs` (c, 6) of all, (count,)."""
     at_dofs = np.einsum("cij,ci->cj", rows, values.reshape(-1, 3))
-    return np.bincount(dofs.ravel(), at_dofs.ravel(), count)
+    return np.bincount(dofs.ravel(), at_dofs.ravel(), count).astype(np.float64, copy=False)

@@ -7,11 +7,14 @@ the same causes.
 
 import math
 from dataclasses import asdict, dataclass
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets import asset_path
 from gelgap.assets.names import one_line
+from gelgap.assets.toml_file import read_toml
 from gelgap.sim.grading import EDGE_STEP_CELLS, edge_radius_mm
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, ContactProblem
@@ -20,56 +23,11 @@ from gelgap.sim.scene import Elastomer, Moduli
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
-# A contact of fewer cells is not resolved at all.
-_FEWEST_CELLS = 0.25
-# A mesh that is drawn out along a path differs before and behind the contact, and pushes it sideways even without
-# friction, by up to 0.8 % of Fz at `draft`: as if this share of the force were tangential.
-_TANGENTIAL_OF_A_PATH = 0.1
-# So does a tilted body, times the sine of its lean: a sticking cylinder that leans by 8° is pushed sideways by 0.8 %
-# of Fz too much at `draft`, 0.6 % at `standard` (0.6 mm deep, beside hexahedra of mean dilatation).
-_TANGENTIAL_OF_A_LEAN = 1.5
 # A contact that sticks ends at a ring of vertices, up to a cell from where it truly does: evenly spread, 1/√12 of a
 # cell rms, and a twist's torque grows with the cube of the radius.
 _TWIST_OFF_BY_CELLS = 3 / math.sqrt(12)
-# What is left of it, times the square of a cell over the contact's radius, once `twist_factor` has corrected it; and
-# what the references themselves may be off.
-_CORRECTED_TWIST_OFF, _TWIST_REFERENCE_OFF = 0.4, 0.03
-# The variance of Fz, shear, contact radius and membrane, as a share, over the square of each cause (commit 032934a is
-# the last that has `scripts/calibrate_estimate.py`): Fz and radius are of presses among scenes 72 to 249 beside the
-# axisymmetric solver, shear and membrane of 300 to 341.
-# The scenes resolve their contacts: what few cells do to Fz is from the tables' shallowest presses, which share a mesh.
-_VARIANCE_PER_CAUSE = (
-    (0.000393, 0.00134, 0.0284, 0.0, 0.0972),
-    (0.0, 2.31e-05, 0.0, 0.0104, 0.0),
-    (0.00113, 0.0064, 0.312, 0.0, 0.324),
-    (0.0, 0.0, 0.206, 0.0, 0.0304),
-)
-# A mesh between lines has its cells anywhere, not in the middle of each patch, as rings of cells have under a ring: a
-# torus and a punch have mostly up to 2.5 and 1.3 % too much beside felupe (4.3 once), a ball by its surface 1.2 % rms
-# at `draft`, 0.7 at `standard`, two balls up to 2.2 and 1.2 %, one ring of waves 1.0 at `standard`. A share of force,
-# times a cell over the patch's radius, squared where a mesh is made for deeper poses: a ridge of one to two cells has
-# 25 % too little. The membrane of a ring is off by 1.7 % of the depth, rms of six, where such a share of it says 2.2.
-_BETWEEN_LINES = 0.05
-# The outline of a contact that lies across the lines passes between vertices: boxes by 5 to 45° near a pad's edges have
-# up to 6 % more or less force than along the lines, 2 % rms at `draft`. A share of the force, times a cell over half
-# the size of the box around it, where the contact is narrower than this share of the box.
-_ACROSS_LINES, _ACROSS_SHARE = 0.055, 0.9
-# Around an edge sharper than a cell there are few vertices, which lie anywhere: a share of the force, times the cells
-# that fit the edge's radius, less one. A cylinder's force (R 1.5 on 3 mm, 0.5 deep) is 2.8 % too large with an edge of
-# 0.1 mm at `draft`, 0.8 and 2.5 % with 0.1 and 0.05 mm at `standard`, beside axisymmetric finite elements.
-_SHARP_EDGE = 0.0055
-# Gel of ν 0.48 that is covered wholly, 0.15 of 3 mm deep, has 3 % too much force without friction and 2.5 % too little
-# without slip beside felupe at `draft`: MuJoCo's energy is not its own under pressure from all sides.
-_COVERED = 0.0175
-# By lubrication theory a wide contact is stiffer by (a/h)² times half to twice this for what ν is above the mesh's.
-_LAYER_RISE = 4.0
-# MuJoCo's equivalent moduli are too stiff by E′ over E under a contact that is small beside its layer, and by up to a
-# tenth (their λ + 2μ) from a radius of `_CONFINED_THICKNESSES` on. The estimate takes `_EQUIVALENT_OFF` of that.
-_EQUIVALENT_OFF, _CONFINED_THICKNESSES = 0.6, 6.0
-# A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
-_NEGLIGIBLE_SLIP_SHARE = 0.02
-# The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
-_LARGEST_CENTRE_SHARE = 0.1
+# What was fitted, or chosen beside a reference; the file says how.
+_FITTED = SimpleNamespace(**read_toml(asset_path("fitted", "estimate.toml")))
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
 LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
@@ -110,9 +68,9 @@ class Diagnostics(SolveDiagnostics):
     @property
     def slip(self) -> str:
         """`stick` or `gross` if nearly all of the normal force is on vertices that stick or slide, else `partial`."""
-        if self.sticking_fraction >= 1 - _NEGLIGIBLE_SLIP_SHARE:
+        if self.sticking_fraction >= 1 - _FITTED.negligible_slip_share:
             return "stick"
-        return "gross" if self.sticking_fraction <= _NEGLIGIBLE_SLIP_SHARE else "partial"
+        return "gross" if self.sticking_fraction <= _FITTED.negligible_slip_share else "partial"
 
     @property
     def force_error_n(self) -> tuple[float, float, float]:
@@ -130,8 +88,8 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
     problem, record = solution.problem, solution.records[index]
     cells = _cells(problem, contact_radius_mm)
     tangential = _tangential(solution, index) / max(float(np.linalg.norm(record.force_n)), 1e-300)
-    of_path = _TANGENTIAL_OF_A_PATH if problem.travel_mm > 0 else 0.0
-    of_lean = _TANGENTIAL_OF_A_LEAN * math.sin(math.radians(problem.body_at(index).lean_deg))
+    of_path = _FITTED.tangential_of_a_path if problem.travel_mm > 0 else 0.0
+    of_lean = _FITTED.tangential_of_a_lean * math.sin(math.radians(problem.body_at(index).lean_deg))
     tangential = max(tangential, of_path, of_lean)
     strain = record.indenter_mm[2] / problem.thickness_mm
     # A body of many features gets fewer cells across each.
@@ -141,7 +99,7 @@ def causes_of_error(solution: Solution, index: int, contact_radius_mm: float) ->
 
 def _cells(problem: ContactProblem, contact_radius_mm: float) -> float:
     """Return how many cells there are across a contact's radius; fewer if it lies across the mesh's lines."""
-    return max(problem.narrowness * contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
+    return max(problem.narrowness * contact_radius_mm / problem.cell_mm, _FITTED.fewest_cells)
 
 
 def _tangential(solution: Solution, index: int) -> float:
@@ -164,36 +122,37 @@ def diagnose(
     """
     problem, record = solution.problem, solution.records[index]
     causes = causes_of_error(solution, index, radius_mm)
-    variance = np.array(_VARIANCE_PER_CAUSE) @ causes**2
+    variance = np.array(_FITTED.variance_per_cause) @ causes**2
     variance[:3] += _off_lines(problem, record) ** 2
     if problem.is_ring and radius_mm:
         variance[2] += (problem.cell_mm / 2 / radius_mm) ** 2
-        variance[3] += (_BETWEEN_LINES * problem.cell_mm / _patch_mm(problem, record)) ** 2
+        variance[3] += (_FITTED.between_lines * problem.cell_mm / _patch_mm(problem, record)) ** 2
     if problem.covers_pad:
-        variance[0] += _COVERED**2
+        variance[0] += _FITTED.covered**2
     edge_mm = edge_radius_mm(problem, EDGE_STEP_CELLS * problem.cell_mm)
-    variance[0] += (_SHARP_EDGE * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
+    variance[0] += (_FITTED.sharp_edge * max(0.0, problem.cell_mm / edge_mm - 1)) ** 2
     variance[:2] += record.moved_error**2
-    rise = _LAYER_RISE * max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
+    rise = _FITTED.layer_rise * max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
     variance[0] += (rise * (radius_mm / problem.thickness_mm) ** 2) ** 2
     coarse = math.sqrt(variance[:2].max()) > LARGEST_ESTIMATE[problem.quality.name]
-    own, equivalent = Moduli(gel.young_modulus_mpa, gel.poisson_ratio), problem.moduli_of(gel)
-    free = equivalent.young_modulus_mpa / own.young_modulus_mpa - 1
-    confined = _confined_mpa(equivalent) / _confined_mpa(own) - 1
+    stated = Moduli(gel.young_modulus_mpa, gel.poisson_ratio)
+    equivalent = problem.moduli_of(gel)
+    free = equivalent.young_modulus_mpa / stated.young_modulus_mpa - 1
+    confined = _confined_mpa(equivalent) / _confined_mpa(stated) - 1
     wide = min(radius_mm, problem.meshed_radius_mm) / problem.thickness_mm
-    stiffer = np.interp(wide, [0.0, _CONFINED_THICKNESSES], [free, confined])
-    variance[:2] += (_EQUIVALENT_OFF * stiffer) ** 2
+    stiffer = np.interp(wide, [0.0, _FITTED.confined_thicknesses], [free, confined])
+    variance[:2] += (_FITTED.equivalent_off * stiffer) ** 2
     fz, shear, radius, membrane = np.sqrt(variance).tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     torque_n_mm = abs(float(record.torque_n_mm[2]))
-    found = asdict(record.diagnostics)
-    found["elastic_energy_mj"] *= modulus_ratio
+    diagnostics = asdict(record.diagnostics)
+    diagnostics["elastic_energy_mj"] *= modulus_ratio
     # Where static friction holds many vertices, they may bear more than `friction` allows.
-    few_stick = found["sticking_fraction"] <= 2 * _LARGEST_CENTRE_SHARE
+    few_stick = diagnostics["sticking_fraction"] <= 2 * _FITTED.largest_centre_share
     turns = few_stick and _turns_about_a_vertex(record, problem.friction)
-    found["sticking_fraction"] = 0.0 if turns else sticking_share(solution, record)
+    diagnostics["sticking_fraction"] = 0.0 if turns else sticking_share(solution, record)
     return Diagnostics(
-        **found,
+        **diagnostics,
         fz_error_n=fz * force_n,
         shear_error_n=shear * force_n,
         tz_error_n_mm=_twist_off(_cells(problem, radius_mm), twist) * modulus_ratio * torque_n_mm,
@@ -212,27 +171,29 @@ def _confined_mpa(moduli: Moduli) -> float:
 def _off_lines(problem: ContactProblem, record: Record) -> float:
     """Return by what share force, and a radius from its centre, may be off where a contact is not along the lines."""
     if problem.indenter.convex:
-        if problem.narrowness >= _ACROSS_SHARE:
+        if problem.narrowness >= _FITTED.across_share:
             return 0.0
-        return _ACROSS_LINES * problem.cell_mm / math.sqrt(math.prod(problem.half_cut_mm))
+        return _FITTED.across_lines * problem.cell_mm / math.sqrt(math.prod(problem.half_cut_mm))
     if problem.is_round and not problem.is_ring and problem.relief is not None:
         return 0.0
-    return _BETWEEN_LINES * problem.cell_mm * problem.meshed_radius_mm / _patch_mm(problem, record) ** 2
+    return (
+        _FITTED.between_lines * problem.cell_mm * problem.meshed_radius_mm / _patch_mm(problem, record) ** 2
+    )
 
 
 def _patch_mm(problem: ContactProblem, record: Record) -> float:
     """Return the radius of a record's own patch, at least a cell; that of the mesh where it is one disc, or turns."""
     if not problem.is_ring and (problem.is_round or problem.turns_deg):
         return problem.meshed_radius_mm
-    own_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
-    return min(problem.meshed_radius_mm, max(own_mm, problem.cell_mm))
+    patch_mm = problem.indenter.contact_radius_mm(-float(record.indenter_mm[2]))
+    return min(problem.meshed_radius_mm, max(patch_mm, problem.cell_mm))
 
 
 def _twist_off(cells: float, factor: float) -> float:
     """Return by what share a sticking twist's torque may be off, by its `twist_factor`."""
     if factor == 1.0:
         return _TWIST_OFF_BY_CELLS / cells
-    return factor * math.hypot(_CORRECTED_TWIST_OFF / cells**2, _TWIST_REFERENCE_OFF)
+    return factor * math.hypot(_FITTED.corrected_twist_off / cells**2, _FITTED.twist_reference_off)
 
 
 def _turns_about_a_vertex(record: Record, friction: float) -> bool:
@@ -242,5 +203,7 @@ def _turns_about_a_vertex(record: Record, friction: float) -> bool:
     shares = normal[sticks(tangential, normal, friction)] / max(normal.sum(), 1e-300)
     largest = shares.max(initial=0.0)
     return bool(
-        len(shares) and largest < _LARGEST_CENTRE_SHARE and shares.sum() - largest <= _NEGLIGIBLE_SLIP_SHARE
+        len(shares)
+        and largest < _FITTED.largest_centre_share
+        and shares.sum() - largest <= _FITTED.negligible_slip_share
     )

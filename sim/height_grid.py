@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.ndimage import grey_dilation
 
 from gelgap.sim.indenter import Floats
@@ -76,7 +77,9 @@ def _lower_envelope(triangles: Floats, lowest: Floats) -> None:
 
 
 @njit(cache=True)
-def signed_distance(heights: Floats, low: float, levels: int, outside: float, inside: float) -> Floats:
+def signed_distance(
+    heights: Floats, low: float, levels: int, outside: float, inside: float
+) -> NDArray[np.float32]:
     """Return the distance (rows, columns, levels) from the triangles between heights, in grid spacings as all here.
 
     The first level lies at `low`, heights are finite. Above the surface the distance is negative. It is exact up to
@@ -151,7 +154,7 @@ def _from_triangle(ax, ay, az, bx, by, bz, cx, cy, cz):
 
 
 @njit(cache=True)
-def interpolated(field: Floats, places: Floats) -> tuple[Floats, Floats]:
+def interpolated(field: NDArray[np.float32], places: Floats) -> tuple[Floats, Floats]:
     """Return values (n,) and gradients (n, 3) of a field on a grid at places (n, 3) within, by quadratic B-splines.
 
     They average the field a little, so that kinks become smooth and no wiggles come in.

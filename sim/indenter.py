@@ -90,6 +90,10 @@ class Indenter(Settings, ABC):
         """Return the largest distance from the axis of where the body, at a depth, cuts the undeformed membrane."""
 
     @abstractmethod
+    def reach_mm(self, directions: Floats) -> Floats:
+        """Return how far (n,) the body reaches from its origin in unit directions (n, 3)."""
+
+    @abstractmethod
     def project(self, points_mm: Floats) -> Projection:
         """Project points (…, 3) onto the surface."""
 
@@ -178,6 +182,9 @@ class Sphere(Indenter):
     def penetration_radius_mm(self, depth_mm: float) -> float:
         below_mm = max(self.radius_mm - depth_mm, 0.0)
         return math.sqrt(max(self.radius_mm**2 - below_mm**2, 0.0))
+
+    def reach_mm(self, directions: Floats) -> Floats:
+        return np.full(len(directions), self.radius_mm)
 
     def project(self, points_mm: Floats) -> Projection:
         from_centre = np.maximum(np.linalg.norm(points_mm, axis=-1), 1e-9)

@@ -9,7 +9,7 @@ on a gel without edges allows, and every contact point and modulus. Served are p
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -20,14 +20,25 @@ from numpy.typing import NDArray
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
+from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics, diagnose
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
-from gelgap.sim.membrane import MembraneState, PolarTable, covered_extent_mm, grid_axes, is_folded, press_onto
+from gelgap.sim.membrane import (
+    MembraneState,
+    PolarTable,
+    covered_extent_mm,
+    grid_axes,
+    is_folded,
+    polar_table,
+    press_onto,
+    pressure_table,
+)
 from gelgap.sim.path import PosePath
-from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
+from gelgap.sim.plan import Solve, SolvePlan, plan_solves
 from gelgap.sim.relief import unbridged
+from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, is_interior, plane_rotation
-from gelgap.sim.solution import Solution, has_solution
+from gelgap.sim.solution import Solution, SolveDiagnostics, has_solution
+from gelgap.sim.solved import NoContact, Placement, SolvedPose
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -216,18 +227,54 @@ class LibraryPlan:
         while True:
             library = PoseLibrary.of(self, joined(added), solutions)
             errors = [library.errors_of(plan, solutions, picture) for plan in plans.values()]
-            table = pd.concat(errors, ignore_index=True) if errors else None
-            library = replace(library, held_out=table, solves=len(solutions))
-            is_within = None if table is None else library.errors["within_bounds"]
-            if is_within is not False or len(solutions) + 2 > MOST_SOLVES:
+            if not errors:
+                return replace(library, solves=len(solutions))
+            held_out = pd.concat(errors, ignore_index=True)
+            library = replace(library, held_out=held_out, solves=len(solutions))
+            if library.errors["within_bounds"] is not False or len(solutions) + 2 > MOST_SOLVES:
                 return library
-            worst = max(plans, key=lambda between: _excess(library, between))
+            excesses = {between: _excess(held_out, between) for between in plans}
+            worst = max(excesses, key=lambda between: excesses[between])
             depth = plans.pop(worst).poses[0].depth_mm
             LOG.info("one more depth in the library, %g mm, where its error is largest", depth)
             deeper = (depth, worst[1])
             plans[deeper] = self.held_out_between(*deeper)
             added.append(self.plan_of((depth,)))
             solutions |= solve_all((*added[-1].solves, *plans[deeper].solves))
+
+
+def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
+    """Return the plans of one gel under several indenters as one, their poses one after another."""
+    poses: list[Pose] = []
+    solves: list[Solve] = []
+    placements: dict[int, Placement] = {}
+    for plan in plans:
+        for index, placement in plan.placements.items():
+            placements[len(poses) + index] = replace(placement, solve=placement.solve + len(solves))
+        poses += plan.poses
+        solves += plan.solves
+    return replace(plans[0], poses=tuple(poses), solves=tuple(solves), placements=placements)
+
+
+def equilibrium(solution: Solution, placement: Placement, gel: Elastomer) -> dict[str, Any]:
+    """Return one solved pose as polar tables and numbers for a modulus of 1 MPa, as libraries of poses hold it."""
+    record = solution.records[placement.record]
+    per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
+    radius_mm = contact_radius_mm(solution, record)
+    found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa, gel)
+    force_errors_n = found.fz_error_n, found.shear_error_n
+    how_solved = {own.name: getattr(found, own.name) for own in fields(SolveDiagnostics)}
+    return how_solved | {
+        "displacement_mm": polar_table(solution, record).values,
+        "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
+        "indenter_mm": record.indenter_mm,
+        "force_n": record.force_n * per_mpa,
+        "torque_n_mm": record.torque_n_mm * per_mpa,
+        "contact_radius_mm": radius_mm,
+        "converged": record.converged,
+        "coarse": found.coarse,
+        "errors": (*force_errors_n, found.contact_radius_error_mm, found.membrane_error_mm),
+    }
 
 
 def solve_all(solves: Sequence[Solve]) -> dict[str, Solution]:
@@ -241,9 +288,9 @@ def solve_all(solves: Sequence[Solve]) -> dict[str, Solution]:
     return solutions
 
 
-def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
+def _excess(held_out: "pd.DataFrame", between: tuple[float, float]) -> float:
     """Return the largest error between two depths, over its bound."""
-    rows = library.held_out.query(f"converged and {between[0]} < depth_mm < {between[1]}")
+    rows = held_out.query(f"converged and {between[0]} < depth_mm < {between[1]}")
     if rows.empty:
         return 0.0
     return max(_rms(rows["force_share"]) / FORCE_BOUND, _rms(rows["membrane_um"]) / MEMBRANE_BOUND_UM)
@@ -251,16 +298,14 @@ def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class LibraryPose(MembraneState):
-    """The membrane at a pose between those of a library; without contact it has no neighbours there."""
+    """The membrane at a pose between those of a library, its neighbours there."""
 
-    neighbours: "_Neighbours | None" = None
-    modulus_mpa: float = 0.0
+    neighbours: "_Neighbours"
+    modulus_mpa: float
 
     @cached_property
     def pressure_mpa(self) -> NDArray[np.float32]:
         """The normal pressure on the rest grid, (ny, nx)."""
-        if self.neighbours is None:
-            return np.zeros(self.contact.shape, np.float32)
         table = self.neighbours.table(self.neighbours.library.pressure_mpa)
         per_mpa = table.at(self.neighbours.points_mm((self.x_mm, self.y_mm)))[..., 0]
         return (self.modulus_mpa * per_mpa.clip(min=0.0)).astype(np.float32)
@@ -268,8 +313,11 @@ class LibraryPose(MembraneState):
     @property
     def indenter_mm(self) -> Floats:
         """How far the indenter (3,) has come from touching the gel."""
-        near = self.neighbours
-        return np.zeros(3) if near is None else near.frame.on_sensor(near.indenter_mm)
+        return self.neighbours.frame.on_sensor(self.neighbours.indenter_mm)
+
+
+PoseState = SolvedPose | LibraryPose | NoContact
+"""The membrane at a pose, wherever it is from, with pressure and indenter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,9 +343,9 @@ class PoseLibrary:
     def of(cls, plan: LibraryPlan, solved: SolvePlan, solutions: Mapping[str, Solution]) -> "PoseLibrary":
         """Return the library of the poses of a solve plan."""
         found = []
-        for pose, own in zip(solved.poses, solved.placements, strict=True):
-            solution = solutions[solved.solves[own.solve].key]
-            fields = equilibrium(solution, own, solved.elastomer) | {"depth_mm": pose.depth_mm}
+        for index, placement in solved.placements.items():
+            pose, solution = solved.poses[index], solutions[solved.solve_key(index)]
+            fields = equilibrium(solution, placement, solved.elastomer) | {"depth_mm": pose.depth_mm}
             # How far a mount has given way, along the drag: none where the drive is rigid.
             fields["mount_mm"] = fields.pop("indenter_mm") - [pose.radius_mm, 0.0, -pose.depth_mm]
             found.append(fields)
@@ -323,7 +371,7 @@ class PoseLibrary:
         pose: Pose,
         half_extent_mm: tuple[float, float] = (0.0, 0.0),
         axes_mm: tuple[Floats, Floats] | None = None,
-    ) -> LibraryPose:
+    ) -> LibraryPose | NoContact:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
@@ -346,7 +394,7 @@ class PoseLibrary:
             axes_mm = grid_axes(covered_extent_mm(elastomer, self.plan.indenter, pose, half_extent_mm))
         return self._interpolated(elastomer, pose, axes_mm)
 
-    def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
+    def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose | NoContact:
         """Return the membrane of a pose on the grid of `grid_axes`.
 
         Unlike for `state`, the pad's edges are left out, and of the elastomer all but the modulus.
@@ -367,28 +415,31 @@ class PoseLibrary:
                 f"{own.mount_stiffness_n_per_mm}, and grow as the modulus does"
             )
 
-    def _interpolated(self, elastomer: Elastomer, pose: Pose, axes_mm: tuple[Floats, Floats]) -> LibraryPose:
+    def _interpolated(
+        self, elastomer: Elastomer, pose: Pose, axes_mm: tuple[Floats, Floats]
+    ) -> LibraryPose | NoContact:
         indenter = self.plan.indenter
         if pose.depth_mm == 0:
-            return LibraryPose.untouched(*axes_mm)
+            return NoContact.untouched(*axes_mm, pose=pose)
         near = _Neighbours(self, pose)
         rest_mm = near.points_mm(axes_mm)
         displacement_mm = near.table(self.displacement_mm).at(rest_mm)
         origin_mm = near.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        displacement_mm = near.frame.on_sensor(displacement_mm).astype(np.float32)
-        folded = is_folded(*axes_mm, displacement_mm)
-        modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
+        on_sensor_mm = near.frame.on_sensor(displacement_mm).astype(np.float32)
+        folded = is_folded(*axes_mm, on_sensor_mm)
+        modulus = elastomer.mujoco_moduli.young_modulus_mpa
+        errors = near.value("errors")
         force_n = modulus * near.frame.on_sensor(near.value("force_n"))
         found = {name: near.each(name).max().item() for name in _LARGEST_OF}
         found |= {name: float(near.value(name)) for name in ("slip_mm", "min_volume_ratio")}
         # Estimates of the mesh's errors with those that were measured, if any were.
-        measured = {} if self.held_out is None else self.errors
+        measured = self.errors
         off_share = measured.get("force_rms_percent", 0.0) / 100
         off_n = off_share * float(np.linalg.norm(force_n))
         return LibraryPose(
             *axes_mm,
-            displacement_mm,
+            on_sensor_mm,
             contact,
             force_n=force_n,
             torque_n_mm=modulus * near.frame.on_sensor(near.value("torque_n_mm")),
@@ -418,10 +469,10 @@ class PoseLibrary:
         """
         import pandas as pd
 
-        gel, rows = plan.elastomer, []
-        for index, (pose, own) in enumerate(zip(plan.poses, plan.placements, strict=True)):
-            exact = plan.state(index, solutions[plan.solves[own.solve].key])
-            served = self.state(gel, pose, axes_mm=(exact.x_mm, exact.y_mm))
+        rows = []
+        for index, pose in enumerate(plan.poses):
+            exact = plan.state(index, solutions)
+            served = self.state(plan.elastomer, pose, axes_mm=(exact.x_mm, exact.y_mm))
             off_n = served.force_n - exact.force_n
             near = np.hypot(exact.x_mm, exact.y_mm[:, None]) < 4 * exact.contact_radius_mm
             off_mm = np.linalg.norm(served.displacement_mm - exact.displacement_mm, axis=-1)
@@ -442,7 +493,12 @@ class PoseLibrary:
 
     @cached_property
     def errors(self) -> dict[str, Any]:
-        """What the manifest says: solves, and errors on the held-out poses that converge, rms and largest, if any."""
+        """What the manifest says: solves, and errors on the held-out poses that converge, rms and largest, if any.
+
+        Nothing at all where no pose was held out.
+        """
+        if self.held_out is None:
+            return {}
         table = self.held_out[self.held_out["converged"]]
         errors = {
             "solves": self.solves,

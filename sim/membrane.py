@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -15,7 +16,7 @@ from gelgap.assets.array_file import read_arrays, write_arrays
 from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import MESHES, ContactProblem
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
 
@@ -30,14 +31,9 @@ _OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converge
 # refuses the same.
 FOLDED_AREA = 0.05
 
-# A grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
-_COVERED_RADII = 1.5
-# Points of the membrane this near the indenter touch it, since the cubic between two vertices leaves it a little: a
-# length, and a share of what the indenter cuts of the rest membrane, half its width squared over the indenter's radius.
-# Beside a narrow contact the gap is no wider for some distance.
-_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE = 0.004, 0.006
-# The gel bulges beside the indenter and can touch it this far outside of what it cuts.
-_BULGE_MM = 0.4
+# Chosen beside the references; the file says what each does.
+_MEMBRANE = SimpleNamespace(**MESHES["membrane"])
+
 
 # A polar table's rows are this far apart up to a radius, and further apart beyond it.
 _FINE_SPACING_MM = 0.05
@@ -45,8 +41,6 @@ _COARSE_SPACING_MM = 0.25
 _FINE_RADIUS_MM = 4.0
 _SECTORS = 64
 _INSET_MM = 1e-9  # points beyond the vertices' hull are moved this far inside: rounding bends its edges
-# A membrane that is a cubic in cells becomes one in mm within this many of the finest beside a contact.
-_FADING_CELLS = 6.0
 
 
 def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tuple[Floats, Floats]:
@@ -172,7 +166,7 @@ def covered_extent_mm(
 
     That is at least `half_extent_mm`, but no further than the pad if that is larger than the grid by default.
     """
-    reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
+    reach_mm = pose.radius_mm + _MEMBRANE.covered_radii * indenter.penetration_radius_mm(pose.depth_mm)
     wanted_x, wanted_y = half_extent_mm
     size_x, size_y = elastomer.pad_size_mm
     return (
@@ -203,9 +197,11 @@ def press_onto(
     Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
     """
     depth_mm = max(min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm), 0.0)
-    reach_mm = indenter.penetration_radius_mm(depth_mm) + _BULGE_MM
+    reach_mm = indenter.penetration_radius_mm(depth_mm) + _MEMBRANE.bulge_mm
     half_width_mm = np.ptp(indenter.cut_mm(depth_mm), axis=1).min() / 2
-    gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
+    gap_mm = min(
+        _MEMBRANE.touching_gap_mm, _MEMBRANE.touching_gap_share * half_width_mm**2 / indenter.feature_size_mm
+    )
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
     near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
@@ -302,7 +298,7 @@ def cells_between(solution: Solution, record: Record) -> Cells:
     return Cells(
         tuple(own.passed(-reach, reach) for own, reach in zip(sizes, reach_mm, strict=True)),
         problem.cut_mm + way_mm,
-        _FADING_CELLS * float(min(own.size_mm.min() for own in sizes)),
+        _MEMBRANE.fading_cells * float(min(own.size_mm.min() for own in sizes)),
     )
 
 
@@ -311,25 +307,17 @@ class MembraneCubic:
     """The membrane's displacement between a solution's vertices: a C¹ piecewise cubic, beyond them that of the rim.
 
     Of a body that is not round it is taken at each point of a grid. A table would round off such edges by up to 20 µm,
-    as it did for a box of 5 × 7 mm, and takes twice as long to make. With `cells`, it is a cubic in these where the
-    contact is.
+    as it did for a box of 5 × 7 mm, and takes twice as long to make.
     """
 
     rest_mm: Floats
     displacement_mm: Floats
-    cells: Cells | None = None
 
     @cached_property
     def _cubic(self) -> Any:
         from scipy.interpolate import CloughTocher2DInterpolator
 
         return CloughTocher2DInterpolator(self.rest_mm, self.displacement_mm)
-
-    @cached_property
-    def _cubic_in_cells(self) -> Any:
-        from scipy.interpolate import CloughTocher2DInterpolator
-
-        return CloughTocher2DInterpolator(self.cells.up_to(self.rest_mm), self.displacement_mm)
 
     @cached_property
     def _edges(self) -> Floats:
@@ -352,22 +340,39 @@ class MembraneCubic:
 
     def at(self, points_mm: Floats) -> Floats:
         """Return the displacement (…, 3) at points (…, 2)."""
-        points = self.within(points_mm)
-        values = self._cubic(points)
-        if self.cells is not None:
-            share = self.cells.share(points)
-            near = share > 0
-            in_cells = self._cubic_in_cells(self.cells.up_to(points[near]))
-            values[near] += share[near, None] * (in_cells - values[near])
+        return self._inside(self.within(points_mm))
+
+    def _inside(self, points_mm: Floats) -> Floats:
+        return self._cubic(points_mm)
+
+
+@dataclass(frozen=True)
+class CubicInCells(MembraneCubic):
+    """The same, as a cubic in cells where the contact is."""
+
+    cells: Cells
+
+    @cached_property
+    def _cubic_in_cells(self) -> Any:
+        from scipy.interpolate import CloughTocher2DInterpolator
+
+        return CloughTocher2DInterpolator(self.cells.up_to(self.rest_mm), self.displacement_mm)
+
+    def _inside(self, points_mm: Floats) -> Floats:
+        values = super()._inside(points_mm)
+        share = self.cells.share(points_mm)
+        near = share > 0
+        in_cells = self._cubic_in_cells(self.cells.up_to(points_mm[near]))
+        values[near] += share[near, None] * (in_cells - values[near])
         return values
 
 
-def membrane_between(solution: Solution, record: Record) -> "MembraneCubic | PolarTable":
+def membrane_between(solution: Solution, record: Record) -> MembraneCubic | PolarTable:
     """Return the membrane between a record's vertices: a table, which is faster, under a round body."""
     if solution.problem.is_round:
         return polar_table(solution, record)
     rest, displacement, _ = solution.whole_surface(record)
-    return MembraneCubic(rest, displacement, cells_between(solution, record))
+    return CubicInCells(rest, displacement, cells_between(solution, record))
 
 
 def polar_table(solution: Solution, record: Record) -> PolarTable:
@@ -402,7 +407,7 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     return PolarTable(values.astype(np.float32), solution.problem.symmetric)
 
 
-def shares_mm2(places_mm: Floats, triangles: NDArray[np.integer]) -> Floats:
+def shares_mm2(places_mm: NDArray[np.floating], triangles: NDArray[np.integer]) -> Floats:
     """Return the share (n,) of the area of triangles (m, 3) that belongs to each of their corners (n, 3)."""
     first, second, third = (places_mm[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2

@@ -8,6 +8,8 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pymetis
@@ -18,38 +20,14 @@ from scipy.sparse.linalg import splu
 from gelgap.sim.blocks import Cells, Coarsening, split_blocks, split_cells
 from gelgap.sim.grading import Sizes, sizes_along
 from gelgap.sim.indenter import Floats, Ints, Sphere
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import MESHES, ContactProblem
 from gelgap.sim.scene import PadEdges
 
-_FINE_MARGIN = 1.15  # of the penetration radius
-# Gel further from the path than this does not matter, and is not meshed.
-_DISC_THICKNESSES = 3.3
-# What a contact wider than the gel is thick squeezes out bulges beside it, and matters as far as this beyond it.
-_BESIDE_WIDE_CONTACT_THICKNESSES = 4.0
-_SMALLEST_DISC = 1.5  # of the finely meshed radius
-_LARGEST_CELL = 0.83  # of the thickness
-# The first layer, as a share of a cell's width; thicker ones make too much of what moves in the plane.
-_FIRST_LAYER = 0.55
-_LARGEST_LAYER = 0.25  # of the thickness
-# The gel that a wide contact squeezes out shears at the backing as much as under the membrane: the last layer, as a
-# share of the thickness, under a contact no wider than that.
-_LAST_LAYER = 0.12
-# Columns of cells along a drag become one where the cells beside the path are this many times as long as they are wide.
-_MERGED_RATIO = 2.5
-# Beside and below a contact between lines, blocks are this many of the finest cells wide, and as wide as this share of
-# the rings there would be.
-_FINEST_BLOCK = 1.3
-_BLOCK_GROWTH = 0.5
-# Vertices up to this share of the contact's radius outside of what the indenter passes over can touch it, since the gel
-# bulges, but none further than 0.4 mm.
-_TOUCHING_MARGIN = 0.3
-_LARGEST_TOUCHING_MARGIN_MM = 0.4
-# What a body passes over is looked for this often.
-_TOUCHING_STEP_MM = 0.1
-# Cells that are nearer to the axis than this share of their depth are one.
-_JOINED_RADIUS = 0.15
-# A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
-_SNAPPED_SHARE = 0.35
+if TYPE_CHECKING:
+    from gelgap.sim.fronts import Group
+
+# Chosen beside the references; the file says what each does.
+_SIZES = SimpleNamespace(**MESHES["mesh"])
 
 
 @dataclass(frozen=True)
@@ -120,16 +98,16 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness = problem.mesh_size, problem.thickness_mm
-    last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
+    last_mm = _SIZES.last_layer * thickness / max(1.0, problem.contact_width)
 
     def layers_mm(finest_mm: float) -> Floats:
-        return layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
+        return layer_heights_mm(thickness, _SIZES.first_layer * finest_mm, size.layer_growth, last_mm)
 
     if problem.is_round:
         grid, finest_mm = _around_axis(problem)
         return pad_mesh(grid, layers_mm(finest_mm), problem.pad_mm, symmetric=problem.symmetric)
     lines, coarsening = _lines_and_blocks(problem)
-    layers = layers_mm(coarsening.finest_mm / _FINEST_BLOCK)
+    layers = layers_mm(coarsening.finest_mm / _SIZES.finest_block)
     return GelMesh(*split_blocks(lines, layers, coarsening), problem.symmetric)
 
 
@@ -138,15 +116,15 @@ def _around_axis(problem: ContactProblem) -> tuple[DiscGrid, float]:
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
     contact = min(problem.half_cut_mm)
     *axis, aside, direction = straightest_line(problem.segments[:, :, :2])
-    fine_radius = _FINE_MARGIN * contact + aside + spacing
-    radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
+    fine_radius = _SIZES.fine_margin * contact + aside + spacing
+    radius = max(_SIZES.disc_thicknesses * thickness, _SIZES.smallest_disc * fine_radius)
     if problem.contact_width > 1:
-        radius = max(radius, contact + aside + _BESIDE_WIDE_CONTACT_THICKNESSES * thickness)
+        radius = max(radius, contact + aside + _SIZES.beside_wide_contact_thicknesses * thickness)
     sizes, finest = None, spacing
     if not isinstance(problem.indenter, Sphere):
         # From the ends of the line that the axis is drawn out to, the rim on its way is nearer by up to its length.
         swept_mm = axis[0] - axis[1] - aside, aside
-        sizes = sizes_along(problem, 0, _LARGEST_CELL * thickness, swept_mm)
+        sizes = sizes_along(problem, 0, _SIZES.largest_cell * thickness, swept_mm)
         # The core is to end before the contact does.
         spacing, finest = min(spacing, float(sizes.at(np.zeros(1))[0])), float(sizes.size_mm.min())
     grid = DiscGrid(
@@ -155,8 +133,8 @@ def _around_axis(problem: ContactProblem) -> tuple[DiscGrid, float]:
         spacing,
         sectors=4 * round(size.sectors * (contact + aside) / contact / 4),
         ring_growth=size.ring_growth,
-        largest_mm=_LARGEST_CELL * thickness,
-        axis_mm=tuple(axis),
+        largest_mm=_SIZES.largest_cell * thickness,
+        axis_mm=(axis[0], axis[1]),
         direction=direction,
         sizes=sizes,
     )
@@ -167,11 +145,11 @@ def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Floats], Coarsening
     """Return lines along x and y between which cells lie, for any contact, and which of them become one."""
     thickness, points = problem.thickness_mm, problem.segments.reshape(-1, 6)
     cut_mm = problem.cut_mm
-    beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
+    beside = _SIZES.beside_wide_contact_thicknesses if problem.contact_width > 1 else _SIZES.disc_thicknesses
     lines, box, finest = [], [], np.inf
     for axis in (0, 1):
         swept_mm = float(points[:, axis].min()), float(points[:, axis].max())
-        sizes = sizes_along(problem, axis, _LARGEST_CELL * thickness, swept_mm)
+        sizes = sizes_along(problem, axis, _SIZES.largest_cell * thickness, swept_mm)
         start, end = cut_mm[axis] + swept_mm + [-beside * thickness, beside * thickness]
         if problem.pad_mm is not None:
             start, end = max(start, problem.pad_mm[2 * axis]), min(end, problem.pad_mm[2 * axis + 1])
@@ -182,8 +160,10 @@ def _lines_and_blocks(problem: ContactProblem) -> tuple[list[Floats], Coarsening
         lines.append(np.unique(np.concatenate([sizes.positions_mm(*part) for part in parts])))
         box.append(cut_mm[axis] + swept_mm + [-problem.cell_mm, problem.cell_mm])
         finest = min(finest, float(sizes.size_mm.min()))
-    growth = _BLOCK_GROWTH * math.log(problem.mesh_size.ring_growth)
-    return lines, Coarsening(np.array(box), _FINEST_BLOCK * finest, growth, _LARGEST_CELL * thickness)
+    growth = _SIZES.block_growth * math.log(problem.mesh_size.ring_growth)
+    return lines, Coarsening(
+        np.array(box), _SIZES.finest_block * finest, growth, _SIZES.largest_cell * thickness
+    )
 
 
 def straightest_line(segments_mm: Floats) -> tuple[float, float, float, tuple[float, float]]:
@@ -216,7 +196,7 @@ def _groups(grid: DiscGrid, plane: Floats, cells: Cells, depth_mm: float) -> Int
         [[grid.direction[0], -grid.direction[1]], [grid.direction[1], grid.direction[0]]]
     )
     from_axis_mm = np.hypot(turned[:, 0] - np.clip(turned[:, 0], low, high), turned[:, 1])
-    radius_mm = _JOINED_RADIUS * depth_mm
+    radius_mm = _SIZES.joined_radius * depth_mm
     within = np.array([from_axis_mm[cell].max() for cell in cells]) <= radius_mm
     columns = max(1, round((high - low) / grid.spacing_mm))
     groups = np.arange(len(cells))
@@ -261,7 +241,7 @@ def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_m
 
     What they are too thick together is taken from the thickest most.
     """
-    largest = max(_LARGEST_LAYER * thickness_mm, first_mm)
+    largest = max(_SIZES.largest_layer * thickness_mm, first_mm)
     upper, lower = [first_mm], [min(last_mm, largest)]
     while sum(upper) + sum(lower) < thickness_mm - 1e-9:
         grown = upper if upper[-1] <= lower[-1] else lower
@@ -334,7 +314,7 @@ def half_stadium(grid: DiscGrid) -> tuple[Floats, Cells]:
     kept = [np.arange(columns + 1)]
     for length in np.diff(y):
         last, width = kept[-1], (high - low) / (len(kept[-1]) - 1)
-        kept.append(np.unique([*last[::2], columns]) if length > _MERGED_RATIO * width else last)
+        kept.append(np.unique([*last[::2], columns]) if length > _SIZES.merged_ratio * width else last)
     number = np.full((len(middle), columns + 1), -1)
     for row, here in enumerate(kept):
         # Column 0 is the cut's left side; the others are new.
@@ -387,7 +367,7 @@ def _cut(plane: Floats, cells: Cells, axis: int, sign: float, distance_mm: float
     crosses = beyond[start] * beyond[end] < 0
     start, end = start[crosses], end[crosses]
     share = beyond[start] / (beyond[start] - beyond[end])
-    moved = np.concatenate([start[share < _SNAPPED_SHARE], end[share > 1 - _SNAPPED_SHARE]])
+    moved = np.concatenate([start[share < _SIZES.snapped_share], end[share > 1 - _SIZES.snapped_share]])
     plane = plane.copy()
     plane[moved, axis] = sign * distance_mm
     beyond = sign * plane[:, axis] - distance_mm
@@ -431,7 +411,7 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     near to the body at its deepest, if it is not one of revolution. What friction drags along is touched no further.
     """
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
-    margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
+    margin_mm = min(_SIZES.touching_margin * radius_mm, _SIZES.largest_touching_margin_mm)
     beyond_mm = np.full(len(points_mm), np.inf)
     # Of the rest membrane, from the indenter's origin at its deepest.
     height_mm = problem.depth_mm - problem.indenter.origin_height_mm
@@ -442,7 +422,7 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
             from_axis_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
             beyond_mm = np.minimum(beyond_mm, from_axis_mm - radius_mm)
             continue
-        for share in np.linspace(0, 1, 1 + math.ceil(np.hypot(*along) / _TOUCHING_STEP_MM)):
+        for share in np.linspace(0, 1, 1 + math.ceil(np.hypot(*along) / _SIZES.touching_step_mm)):
             aside = points_mm - start - share * along
             from_origin = np.column_stack([aside, np.full(len(aside), height_mm)])
             for body, _ in problem.stands:
@@ -463,6 +443,17 @@ def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)
     return GelMesh(mesh.vertices_mm[order], number[mesh.tetrahedra], mesh.symmetric)
+
+
+@lru_cache(maxsize=4)
+def elimination_groups(problem: ContactProblem) -> "list[Group]":
+    """Return the groups in which a problem's mesh is eliminated; its vertices are numbered in reverse order of that."""
+    # Compiled code, which a mesh alone does not load.
+    from gelgap.sim.fronts import assembly_tree
+
+    mesh = mesh_for(problem)
+    order = np.arange(len(mesh.vertices_mm) - len(mesh.bottom))[::-1]
+    return assembly_tree(mesh.neighbours[order][:, order], len(touchable(mesh, problem)))
 
 
 def elimination_order(graph: sparse.csr_array, last: Ints) -> Ints:

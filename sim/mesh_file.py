@@ -1,6 +1,7 @@
 """The body of a mesh file: its lower end, as far up as it is convex, in mm."""
 
 import logging
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -113,6 +114,8 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
         raise ValueError("is no mesh but a CAD file; export STL, OBJ or GLB from the CAD program")
     if suffix in _GLTF_SUFFIXES and any(packing in path.read_bytes() for packing in _PACKINGS):
         raise ValueError("has compressed or quantised corners, which are not read; export it without")
+    if suffix == ".3mf" and find_spec("lxml") is None:
+        raise ValueError("needs the package lxml; install with: pip install 'gelgap[3mf]'")
     try:
         scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()

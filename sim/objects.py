@@ -72,7 +72,7 @@ def surface_mesh_mm(body: Indenter, subdivisions: int = 5) -> tuple[Floats, NDAr
     return np.array(hull.vertices), np.array(hull.faces)
 
 
-def _solid(inside: Floats) -> Floats:
+def _solid(inside: NDArray[np.bool_]) -> Floats:
     """Return a relief whose faces are `inside`, on a plate a relief's height further up."""
     return np.where(inside, 0.0, _RELIEF_MM)
 

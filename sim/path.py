@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Self
@@ -59,15 +59,14 @@ class ContactPath:
         return tuple(pose for index, point in enumerate(points) for pose in self._poses_at(index, *point))
 
     def _poses_at(self, index: int, x_mm: float, y_mm: float) -> list[Pose]:
-        place = {"point_x_mm": x_mm, "point_y_mm": y_mm, "point_id": _point_id(x_mm, y_mm, index)}
+        at_point = partial(Pose, point_x_mm=x_mm, point_y_mm=y_mm, point_id=_point_id(x_mm, y_mm, index))
         contacts = product(self.depths_mm, self.radii_mm, self.angles_deg)
-        return [Pose(depth_mm=0.0, contact_class=0, **place)] + [
-            Pose(
+        return [at_point(depth_mm=0.0, contact_class=0)] + [
+            at_point(
                 depth_mm=depth,
                 shear_x_mm=radius * _cosine(angle),
                 shear_y_mm=radius * _cosine(angle - 90.0),
                 contact_class=_contact_class(depth, radius, angle),
-                **place,
             )
             for depth, radius, angle in contacts
         ]
@@ -132,8 +131,8 @@ class PosePath:
             if not waypoints or not isinstance(waypoints, Sequence):
                 raise ValueError(f"waypoints_mm of {where} = {waypoints!r}: must list at least one waypoint")
             index = points.setdefault(point, len(points))
-            place = {"point_x_mm": x, "point_y_mm": y, "point_id": _point_id(x, y, index)}
-            poses.append(Pose(depth_mm=0.0, contact_class=0, **place))
+            at_point = partial(Pose, point_x_mm=x, point_y_mm=y, point_id=_point_id(x, y, index))
+            poses.append(at_point(depth_mm=0.0, contact_class=0))
             count = len(waypoints)
             twists = _numbers(trajectory.get("twist_deg", [0.0] * count), count, f"twist_deg of {where}")
             rolls = trajectory.get("roll_deg", [(0.0, 0.0)] * count)
@@ -141,9 +140,9 @@ class PosePath:
                 raise ValueError(f"roll_deg of {where} = {rolls!r}: must be {count} pairs of numbers")
             for waypoint, twist, roll in zip(waypoints, twists, rolls, strict=True):
                 shear_x, shear_y, depth = _numbers(waypoint, 3, f"a waypoint of {where}")
-                moved = {"depth_mm": depth, "shear_x_mm": shear_x, "shear_y_mm": shear_y}
-                turned = {"twist_deg": twist, "roll_deg": _numbers(roll, 2, f"a roll_deg of {where}")}
-                poses.append(Pose(**moved, **turned, trajectory=number, **place))
+                roll_x, roll_y = _numbers(roll, 2, f"a roll_deg of {where}")
+                turned = at_point(depth, shear_x, shear_y, twist_deg=twist, roll_deg=(roll_x, roll_y))
+                poses.append(replace(turned, trajectory=number))
         return cls(name, tuple(poses))
 
     @classmethod
@@ -291,6 +290,8 @@ def _force_path(name: str, values: dict[str, Any]) -> ForcePath:
     except ValueError as error:
         message = str(error).replace("depths_mm", "forces_n").replace("depth_mm", "force_n")
         raise ValueError(message) from None
+    if isinstance(path, ForcePath):
+        raise ValueError(f"path {name} has forces_n and [random] with force_n: give one of them")
     return ForcePath(path)
 
 

@@ -3,26 +3,24 @@
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
-from gelgap.sim.estimate import diagnose
 from gelgap.sim.grading import check_sharpness
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, polar_table, pressure_table
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, covered_extent_mm, grid_axes
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.relief import bridged
-from gelgap.sim.rim import contact_radius_mm
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
-from gelgap.sim.solution import Solution, SolveDiagnostics, load_solution, store_solution
-from gelgap.sim.solved import ContactSolve, Placement, SolvedPose
+from gelgap.sim.solution import Solution, load_solution, store_solution
+from gelgap.sim.solved import ContactSolve, NoContact, Placement, SolvedPose
 
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
@@ -110,7 +108,7 @@ class Solve:
 
 @dataclass(frozen=True)
 class SolvePlan:
-    """The distinct solves of poses, and what follows from them; a pose without contact has no placement."""
+    """The distinct solves of poses, and what follows from them: `placements` has, by its number, each in contact."""
 
     __repr__ = one_line
 
@@ -118,61 +116,30 @@ class SolvePlan:
     indenter: Indenter
     poses: tuple[Pose, ...]
     solves: tuple[Solve, ...]
-    placements: tuple[Placement | None, ...]
+    placements: Mapping[int, Placement]
 
     def solve_key(self, pose_index: int) -> str:
-        """Return the key of the solve that serves a pose; a reference without contact is served by any."""
-        placement = self.placements[pose_index]
-        return self.solves[placement.solve if placement else 0].key
+        """Return the key of the solve that serves a pose in contact."""
+        return self.solves[self.placements[pose_index].solve].key
 
     def state(
         self,
         pose_index: int,
-        solution: Solution | None,
+        solutions: Mapping[str, Solution],
         half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
-    ) -> SolvedPose:
-        """Return the membrane of a pose, made from the solution of its solve; without contact it needs none.
+    ) -> SolvedPose | NoContact:
+        """Return the membrane of a pose, made from the solution of its solve by its key; without contact it needs none.
 
         Its grid covers the contact and reaches at least `half_extent_mm` from the sensor's centre along x and y, but
         no further than the pad if that is larger than the grid by default.
         """
-        contact = ContactSolve(
-            self.elastomer, self.indenter, self.poses[pose_index], self.placements[pose_index], solution
-        )
+        gel, body, pose = self.elastomer, self.indenter, self.poses[pose_index]
+        placement = self.placements.get(pose_index)
+        if placement is None:
+            axes_mm = grid_axes(covered_extent_mm(gel, body, pose, half_extent_mm))
+            return NoContact.untouched(*axes_mm, pose=pose)
+        contact = ContactSolve(gel, body, pose, placement, solutions[self.solve_key(pose_index)])
         return contact.state(half_extent_mm)
-
-
-def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
-    """Return the plans of one gel under several indenters as one, their poses one after another."""
-    solves: list[Solve] = []
-    placements: list[Placement | None] = []
-    for plan in plans:
-        shift = len(solves)
-        placements += [own and replace(own, solve=own.solve + shift) for own in plan.placements]
-        solves += plan.solves
-    poses = tuple(pose for plan in plans for pose in plan.poses)
-    return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
-
-
-def equilibrium(solution: Solution, placement: Placement, gel: Elastomer) -> dict[str, Any]:
-    """Return one solved pose as polar tables and numbers for a modulus of 1 MPa, as libraries of poses hold it."""
-    record = solution.records[placement.record]
-    per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
-    radius_mm = contact_radius_mm(solution, record)
-    found = diagnose(solution, placement.record, radius_mm, 1.0, per_mpa, gel)
-    force_errors_n = found.fz_error_n, found.shear_error_n
-    how_solved = {own.name: getattr(found, own.name) for own in fields(SolveDiagnostics)}
-    return how_solved | {
-        "displacement_mm": polar_table(solution, record).values,
-        "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
-        "indenter_mm": record.indenter_mm,
-        "force_n": record.force_n * per_mpa,
-        "torque_n_mm": record.torque_n_mm * per_mpa,
-        "contact_radius_mm": radius_mm,
-        "converged": record.converged,
-        "coarse": found.coarse,
-        "errors": (*force_errors_n, found.contact_radius_error_mm, found.membrane_error_mm),
-    }
 
 
 def plan_solves(
@@ -222,14 +189,14 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
     }.values():
         scene.check(pose)
     solves: list[Solve] = []
-    placements: list[Placement | None] = [None] * len(poses)
+    placements: dict[int, Placement] = {}
     for problem, served in (*_descent_problems(scene, poses), *_trajectory_problems(scene, poses)):
         for index, (record, frame) in served.items():
             placements[index] = Placement(len(solves), record, frame)
         problem = bridged(problem)
         check_sharpness(problem)
         solves.append(Solve(affordable(problem), scene.sharing.cache))
-    return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))
+    return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), placements)
 
 
 class _Drag(NamedTuple):

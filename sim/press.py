@@ -10,7 +10,7 @@ from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.path import ContactPath, ForcePath, PosePath
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.scene import Elastomer, Pose, Sharing, deepest_mm
-from gelgap.sim.solved import SolvedPose
+from gelgap.sim.solved import NoContact, SolvedPose
 
 # Load control ends within this share of its force, or gives up after this many corrections of the depth.
 _FORCE_TOLERANCE = 0.01
@@ -24,7 +24,7 @@ def solve_pose(
     pose: Pose,
     quality: str = "standard",
     sharing: Sharing | None = None,
-) -> SolvedPose:
+) -> SolvedPose | NoContact:
     """Solve one pose: straight down, then sideways.
 
     Raises
@@ -41,7 +41,7 @@ def solve_poses(
     poses: Sequence[Pose],
     quality: str = "standard",
     sharing: Sharing | None = None,
-) -> tuple[SolvedPose, ...]:
+) -> tuple[SolvedPose | NoContact, ...]:
     """Solve poses that the indenter visits one after the other at one point, as the depths of one descent.
 
     The first is reached straight down and then sideways, each further one in a straight line from the one before.
@@ -52,8 +52,8 @@ def solve_poses(
         If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
     """
     plan = plan_visit(elastomer, indenter, poses, quality, sharing)
-    solution = plan.solves[0].run() if plan.solves else None
-    return tuple(plan.state(index, solution) for index in range(len(poses)))
+    solutions = {solve.key: solve.run() for solve in plan.solves}
+    return tuple(plan.state(index, solutions) for index in range(len(poses)))
 
 
 def pose_for_force(
@@ -80,10 +80,10 @@ def pose_for_force(
         raise ValueError(f"normal_force_n = {normal_force_n!r}: must be more than 0 N")
     named = f"normal_force_n = {normal_force_n:g}"
     depth_of = _depths_by_force(named, normal_force_n, elastomer, indenter, point_mm, quality)
-    place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
+    point_x_mm, point_y_mm = point_mm
     sought = normal_force_n
     for _ in range(_DEPTH_CORRECTIONS + 1):
-        pose = Pose(depth_mm=depth_of(sought), **place)
+        pose = Pose(depth_of(sought), point_x_mm=point_x_mm, point_y_mm=point_y_mm)
         reached = -solve_pose(elastomer, indenter, pose, quality).force_n[2]
         if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
@@ -141,8 +141,8 @@ def _descent(
 ) -> tuple[Floats, Floats]:
     """Return depths in ten steps, as far as they converge, and normal forces there, both from 0."""
     depths = np.append(0.0, np.round(np.linspace(indenter.shallowest_mm, end_mm, 11)[1:], 9))
-    place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
-    poses = tuple(Pose(depth_mm=float(depth), **place) for depth in depths[1:])
+    point_x_mm, point_y_mm = point_mm
+    poses = tuple(Pose(depth, point_x_mm=point_x_mm, point_y_mm=point_y_mm) for depth in depths[1:].tolist())
     states = solve_poses(elastomer, indenter, poses, quality)
     force = np.array([0.0, *(-state.force_n[2] for state in states)])
     holds = [True, *(state.converged for state in states)] & (np.diff(force, prepend=-1.0) > 0)

@@ -6,47 +6,29 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Literal, Self
+from types import SimpleNamespace
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 
+from gelgap.assets import asset_path
 from gelgap.assets.names import unknown_name
+from gelgap.assets.toml_file import read_toml
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.scene import Elastomer, Moduli, PadEdges, Scene
 from gelgap.sim.shapes import AnyIndenter
 
 # Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
-# per hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some 5 µm rms at a depth
-# of a third of the thickness. So meshes get this ν at most, and a modulus that follows that rise.
+# per hundredth of ν, and the membrane moves by some 5 µm rms at a depth of a third of the thickness. So meshes get this
+# ν at most, and a modulus that follows that rise.
 LARGEST_POISSON_RATIO = 0.49
-FORCE_RISE_PER_POISSON = 1.7
-_SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
-# A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
-_WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
 _METHOD_VERSION = 37
-# A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
-_ROUND_SHARE = 0.98
-# Its patch is narrower than this share of it where it is a ring.
-_RING_SHARE = 0.9
-# Cells in a contact that is longer than wide are up to this many times as long as wide.
-_LONGEST_CELL = 2.0
-# A contact that is narrower than this share of the box around it, along the mesh's lines, lies across them.
-_OBLIQUE_SHARE = 0.6
-# Under it, cells are this many times as large as the smallest under bodies that are not convex. With cells for the box
-# around it an ellipsoid of curvatures 1 : 30 that lies by 33° has up to 48 % too much force, a box of 2 × 4 mm by 45°
-# 11 % too little; a solve takes twice as long.
-_OBLIQUE_CELL = 1.6
-# A quality's load steps are those on a gel of this thickness, and are as long on a thicker one if the contact's radius
-# is less than these.
-_STEPS_THICKNESS_MM = 3.0
-_PRESS_STEP_RADIUS_MM, _TRAVEL_STEP_RADIUS_MM = 0.2, 0.4
-# No load step goes further down than this many times the size of what the body has of edges or tips.
-_LONGEST_STEP_FEATURES = 1.5
-# The mesh is made for the indenter as it stands this often while it turns.
-_TURN_BETWEEN_STANDS_DEG = 5.0
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
 _SHARED_MODULUS_MPA = 0.3
+# The file says what was fitted, what was chosen, and what each number does.
+MESHES = read_toml(asset_path("fitted", "meshes.toml"))
+_CONTACT = SimpleNamespace(**MESHES["contact"])
 
 QualityName = Literal["draft", "standard", "fine"]
 Waypoint = tuple[float, float, float]
@@ -74,15 +56,19 @@ class MeshSize:
     layer_growth: float
     stiffness: tuple[float, float, float]
 
+    @classmethod
+    def of(cls, table: dict[str, Any]) -> Self:
+        """Return the size that a table of `assets/fitted/meshes.toml` states."""
+        return cls(**{**table, "stiffness": tuple(table["stiffness"])})
+
     def stiffness_excess(self, gel: Moduli, contact_width: float) -> float:
         """Return by what share a mesh of this size is stiffer than its gel, by ν and the contact's width.
 
         Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
         scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does, and with
         each coarser ring of cells around a contact that is small beside the gel's thickness:
-        (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. They were derived
-        against locking-free solutions of the same energy, and checked on radii, thicknesses, ν and friction that were
-        not used (`scripts/calibrate_mesh.py` of commit 032934a, the last that has it).
+        (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. `benchmarks/physics/fit_meshes.py` fits
+        them to locking-free solutions of the same energy, and checks them on scenes that were not used.
         """
         a, b, c = self.stiffness
         poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)
@@ -111,39 +97,18 @@ class Quality:
     travel_tolerance: float
 
 
-# MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that it is meshed more coarsely.
 QUALITIES = {
-    "draft": Quality(
-        name="draft",
-        disc=MeshSize(3.5, 8, 2.2, 1.9, stiffness=(0.0127, 0.00036, 0.900)),
-        pad=MeshSize(2.9, 8, 2.2, 1.9, stiffness=(0.0131, 0.00034, 0.993)),
-        press_step_mm=0.2,
-        travel_step_mm=0.1,
-        press_tolerance=3e-3,
-        travel_tolerance=1e-3,
-    ),
-    "standard": Quality(
-        name="standard",
-        disc=MeshSize(6.0, 12, 2.0, 1.8, stiffness=(0.0109, 0.00034, 0.947)),
-        pad=MeshSize(3.6, 8, 2.0, 1.8, stiffness=(0.0118, 0.00028, 0.851)),
-        press_step_mm=0.1,
-        travel_step_mm=0.1,
-        press_tolerance=1e-3,
-        travel_tolerance=3e-4,
-    ),
-    "fine": Quality(
-        name="fine",
-        disc=MeshSize(9.0, 16, 1.7, 1.5, stiffness=(0.0073, 0.00023, 0.754)),
-        pad=MeshSize(5.5, 12, 1.8, 1.6, stiffness=(0.0068, 0.00029, 0.755)),
-        press_step_mm=0.05,
-        travel_step_mm=0.05,
-        press_tolerance=3e-4,
-        travel_tolerance=1e-4,
-    ),
+    name: Quality(name, MeshSize.of(table["disc"]), MeshSize.of(table["pad"]), **table["steps"])
+    for name, table in MESHES["qualities"].items()
 }
-
 # Along each axis, cells of half a disc under a body that is not convex: what would need more of them is not resolved.
-_MOST_CELLS_ALONG = {"draft": 20, "standard": 32, "fine": 48}
+_MOST_CELLS_ALONG = {name: table["most_cells_along"] for name, table in MESHES["qualities"].items()}
+
+
+def _vector(values: Sequence[float]) -> Waypoint:
+    """Return three floats; adding 0 turns −0, which would have another key, into 0."""
+    x, y, z = (float(value) + 0.0 for value in values)
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -186,9 +151,7 @@ class ContactProblem:
         """
         if scene.quality not in QUALITIES:
             raise ValueError(unknown_name("quality", scene.quality, QUALITIES))
-        # Adding 0 turns −0, which would have another key, into 0.
-        commands = [tuple(float(c) + 0.0 for c in command) for command in commands]
-        turns = tuple(command[3:] for command in commands)
+        turns = any(any(command[3:]) for command in commands)
         gel = scene.elastomer
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
@@ -196,13 +159,14 @@ class ContactProblem:
             moduli=gel.mujoco_moduli,
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
-            indenter=scene.indenter_in_frame(edges=pad_mm is not None),
+            # Every shape is a part of `AnyIndenter`.
+            indenter=cast(AnyIndenter, scene.indenter_in_frame(edges=pad_mm is not None)),
             mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
             pad_mm=pad_mm,
-            waypoints_mm=tuple(command[:3] for command in commands),
+            waypoints_mm=tuple(_vector(command[:3]) for command in commands),
             parents=tuple(parents),
             quality=QUALITIES[scene.quality],
-            turns_deg=turns if any(map(any, turns)) else (),
+            turns_deg=tuple(_vector(command[3:]) for command in commands) if turns else (),
             static_friction=static if static is not None and static > gel.friction else None,
         )
         if problem.covers_pad and gel.poisson_ratio > LARGEST_POISSON_RATIO:
@@ -236,12 +200,21 @@ class ContactProblem:
         parent = self.parents[record]
         return (*(self.way(parent) if parent >= 0 > self.waypoints_mm[record][2] else ()), record)
 
+    def straight_down(self, record: int) -> int:
+        """Return the last waypoint on the way to one before the indenter goes sideways or turns."""
+        press, *others = self.way(record)
+        for waypoint in others:
+            if self.commands[waypoint, [0, 1, 3, 4, 5]].any():
+                break
+            press = waypoint
+        return press
+
     @cached_property
     def stands(self) -> tuple[tuple[AnyIndenter, float], ...]:
         """The indenter as it is turned on its way, first as it starts, and how deep its lowest point goes at most."""
         bodies = {self.indenter: None}
         for start, end in self.segments[:, :, 3:] if self.turns_deg else ():
-            steps = math.ceil(np.linalg.norm(end - start) / _TURN_BETWEEN_STANDS_DEG)
+            steps = math.ceil(np.linalg.norm(end - start) / _CONTACT.turn_between_stands_deg)
             bodies |= dict.fromkeys(self.indenter.turned(turn) for turn in np.linspace(start, end, steps + 1))
         own_mm = self.indenter.origin_height_mm
         return tuple((body, self.depth_mm + (body.origin_height_mm - own_mm)) for body in bodies)
@@ -252,7 +225,7 @@ class ContactProblem:
         return all(self._cuts_a_disc(body, depth_mm) for body, depth_mm in self.stands)
 
     def _cuts_a_disc(self, body: AnyIndenter, depth_mm: float) -> bool:
-        least_mm = _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
+        least_mm = _CONTACT.round_share * body.penetration_radius_mm(depth_mm)
         is_disc = body.symmetry is Symmetry.REVOLUTION
         if body.convex and not is_disc:
             is_disc = body.contact_radius_mm(depth_mm) >= least_mm
@@ -261,7 +234,7 @@ class ContactProblem:
     @property
     def is_ring(self) -> bool:
         """Whether the contact is round, and hollow in the middle."""
-        return self.is_round and self.meshed_radius_mm < _RING_SHARE * min(self.half_cut_mm)
+        return self.is_round and self.meshed_radius_mm < _CONTACT.ring_share * min(self.half_cut_mm)
 
     @property
     def symmetric(self) -> bool:
@@ -313,7 +286,7 @@ class ContactProblem:
     @property
     def half_cut_mm(self) -> tuple[float, float]:
         """Half of how far, along x and y, the indenter at its deepest cuts the undeformed membrane."""
-        half_x, half_y = np.maximum(np.ptp(self.cut_mm, axis=1) / 2, _SMALLEST_CONTACT_MM).tolist()
+        half_x, half_y = np.maximum(np.ptp(self.cut_mm, axis=1) / 2, _CONTACT.smallest_contact_mm).tolist()
         return half_x, half_y
 
     @property
@@ -327,12 +300,14 @@ class ContactProblem:
     @property
     def width_mm(self) -> float:
         """How wide the widest patch is, whatever way it lies."""
-        return 2 * max(_SMALLEST_CONTACT_MM, *(body.contact_radius_mm(depth) for body, depth in self.stands))
+        return 2 * max(
+            _CONTACT.smallest_contact_mm, *(body.contact_radius_mm(depth) for body, depth in self.stands)
+        )
 
     @property
     def is_oblique(self) -> bool:
         """Whether a convex body's contact is long and lies across the mesh's lines, so that cells are smaller."""
-        return self.narrowness < _OBLIQUE_SHARE
+        return self.narrowness < _CONTACT.oblique_share
 
     @property
     def narrowness(self) -> float:
@@ -347,7 +322,7 @@ class ContactProblem:
     @property
     def widest_cell_mm(self) -> float:
         """How far apart the membrane's vertices are in a contact that is as wide as the gel is thick."""
-        return _WIDEST_CONTACT_THICKNESSES * self.thickness_mm / self.mesh_size.across
+        return _CONTACT.widest_contact_thicknesses * self.thickness_mm / self.mesh_size.across
 
     @property
     def cell_mm(self) -> float:
@@ -356,7 +331,7 @@ class ContactProblem:
         cell_mm = min(side_mm / self.mesh_size.across, self.widest_cell_mm)
         finest_mm = 2 * math.sqrt(math.prod(self.half_cut_mm)) / self.most_cells_along
         if self.indenter.convex:
-            return min(cell_mm, _OBLIQUE_CELL * finest_mm) if self.is_oblique else cell_mm
+            return min(cell_mm, _CONTACT.oblique_cell * finest_mm) if self.is_oblique else cell_mm
         return cell_mm if self.is_round else max(cell_mm, finest_mm)
 
     @property
@@ -370,7 +345,7 @@ class ContactProblem:
         if self.is_oblique:
             return self.cell_mm
         along_mm = min(self.half_cut_mm[axis] / self.mesh_size.across, self.widest_cell_mm)
-        return min(max(along_mm, self.cell_mm), _LONGEST_CELL * self.cell_mm)
+        return min(max(along_mm, self.cell_mm), _CONTACT.longest_cell * self.cell_mm)
 
     @property
     def stiffness_excess(self) -> float:
@@ -382,7 +357,7 @@ class ContactProblem:
         """The moduli with which the mesh acts as the gel; both in MuJoCo's energy."""
         young_mpa, poisson_ratio = self.moduli.young_modulus_mpa, self.moduli.poisson_ratio
         beyond = max(0.0, poisson_ratio - LARGEST_POISSON_RATIO)
-        rise = 1 + FORCE_RISE_PER_POISSON * beyond
+        rise = 1 + MESHES["force_rise_per_poisson"] * beyond
         return Moduli(young_mpa * rise / (1 + self.stiffness_excess), poisson_ratio - beyond)
 
     @property
@@ -403,16 +378,16 @@ class ContactProblem:
 
         A scene that is larger by a factor is solved in the same number of steps.
         """
-        larger = min(self.thickness_mm / _STEPS_THICKNESS_MM, self.meshed_radius_mm / radius_mm)
+        larger = min(self.thickness_mm / _CONTACT.steps_thickness_mm, self.meshed_radius_mm / radius_mm)
         return max(1.0, larger)
 
     def steps(self, change: Floats) -> int:
         """Return in how many load steps the indenter moves and turns by a change (6,) of its command."""
         x, y, z = change[:3]
         travel_mm = math.hypot(x, y) + self.arc_mm(change[3:])
-        press_step_mm = self.quality.press_step_mm * self._step_scale(_PRESS_STEP_RADIUS_MM)
-        travel_step_mm = self.quality.travel_step_mm * self._step_scale(_TRAVEL_STEP_RADIUS_MM)
-        press_step_mm = min(press_step_mm, _LONGEST_STEP_FEATURES * self.indenter.feature_size_mm)
+        press_step_mm = self.quality.press_step_mm * self._step_scale(_CONTACT.press_step_radius_mm)
+        travel_step_mm = self.quality.travel_step_mm * self._step_scale(_CONTACT.travel_step_radius_mm)
+        press_step_mm = min(press_step_mm, _CONTACT.longest_step_features * self.indenter.feature_size_mm)
         steps = max(abs(z) / press_step_mm, travel_mm / travel_step_mm)
         return max(1, math.ceil(steps - 1e-9))
 

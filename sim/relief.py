@@ -9,6 +9,7 @@ by that in the solve, which makes a force that was 15 % too large 1 %, in the sa
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -16,26 +17,16 @@ from gelgap.sim.estimate import LARGEST_ESTIMATE, Diagnostics
 from gelgap.sim.grading import is_served
 from gelgap.sim.indenter import Floats
 from gelgap.sim.membrane import GRID_SPACING_MM
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import MESHES, ContactProblem
 from gelgap.sim.surface import Surface
 
-# What is narrower than this many cells, vertices do not show.
-_BRIDGED_CELLS = 2.0
 # Loads s, and by what share of the mean depth the gel sinks in there, s (1 − ln s): between them, and below the least,
 # where that would be endlessly steep, it is a straight line.
 _LEAST_LOAD = 0.01
 _LOADS = np.geomspace(_LEAST_LOAD, 1.0, 60)
 _SUNK = _LOADS * (1 - np.log(_LOADS))
-# Recesses of a body that the mesh serves are bridged if in the mean they are deeper than this share of the press.
-_LEAST_SHARE = 0.03
-# The theory makes this share of what recesses take off a force uncertain: a round punch with rings of waves (λ 0.4 mm,
-# 5 to 16 % off by them) is within 1.7 % of axisymmetric finite elements, a square one within 3.1 % of plane strain.
-_THEORY_OFF = 0.15
-# A vertex that slides off a recess loses it over this share of a cell: at once it would slide back, and on, for ever
-# (rings of waves, λ 1.5 mm, a 0.05 and 0.1, at `draft`). Over a whole cell forces were up to 3.5 % too small, not 1.5.
-_RIM_CELLS = 1 / 3
-# What is less deep than this share of the deepest recess is none.
-_SMOOTH_SHARE = 0.02
+# Chosen beside the references; the file says what each does.
+_RELIEF = SimpleNamespace(**MESHES["relief"])
 
 
 def bridged(problem: ContactProblem) -> ContactProblem:
@@ -46,11 +37,11 @@ def bridged(problem: ContactProblem) -> ContactProblem:
     body = problem.indenter
     if not isinstance(body, Surface):
         return problem
-    opened = _opened(body, _BRIDGED_CELLS * problem.cell_mm)
+    opened = _opened(body, _RELIEF.bridged_cells * problem.cell_mm)
     over, under = body.heights_mm, opened.heights_mm
     reached = under < problem.depth_mm
     deep_mm = float((over[reached] - under[reached]).mean())
-    if deep_mm < _LEAST_SHARE * problem.depth_mm and is_served(problem):
+    if deep_mm < _RELIEF.least_share * problem.depth_mm and is_served(problem):
         return problem
     without = replace(problem, indenter=opened, relief=body)
     return without if is_served(without) else problem
@@ -133,8 +124,8 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
         return None
     over, under = body.heights_mm, bridging.heights_mm
     depth = np.where(np.isfinite(over), over, 0.0) - np.where(np.isfinite(over), under, 0.0)
-    deep = depth > _SMOOTH_SHARE * depth.max()
-    rim = 2 * math.ceil(_RIM_CELLS * problem.cell_mm / body.spacing_mm / 2) + 1
+    deep = depth > _RELIEF.smooth_share * depth.max()
+    rim = 2 * math.ceil(_RELIEF.rim_cells * problem.cell_mm / body.spacing_mm / 2) + 1
     # Over a square as wide as the widest recess.
     side = max(2 * int(distance_transform_cdt(deep).max()) + 1, rim)
     # Where recesses are, with the crests between them; beside them, as on a punch's rim, the gel meets what is smooth.
@@ -146,9 +137,9 @@ def recesses_of(problem: ContactProblem) -> Recesses | None:
         return total / np.maximum(weight, 1e-9)
 
     # From place to place: over two of them short waves would look a third less steep.
-    square = sum(np.diff(depth / body.spacing_mm, axis=axis, append=0.0) ** 2 for axis in (0, 1))
+    along_y, along_x = (np.diff(depth / body.spacing_mm, axis=axis, append=0.0) for axis in (0, 1))
     stiffness_mpa = 2 * problem.moduli.shear_mpa / (1 - problem.moduli.poisson_ratio)
-    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(square), 0.0) / 2)
+    flattening_mpa = stiffness_mpa * np.sqrt(np.maximum(mean_around(along_y**2 + along_x**2), 0.0) / 2)
     mean_mm = mean_around(depth)
     # A sinusoid's length is π E* a / p*; a grid shows no waves shorter than two spacings.
     length_mm = math.pi * stiffness_mpa * mean_mm / np.maximum(flattening_mpa, 1e-12)
@@ -176,7 +167,7 @@ def with_fill(
 
     In the mean the gel is pressed less deep by the fill.
     """
-    share = _THEORY_OFF * float(np.linalg.norm(filled_mm.mean(axis=0))) / depth_mm
+    share = _RELIEF.theory_off * float(np.linalg.norm(filled_mm.mean(axis=0))) / depth_mm
     fz_error_n = math.hypot(found.fz_error_n, share * force_n)
     return replace(
         found, fz_error_n=fz_error_n, coarse=found.coarse or fz_error_n > LARGEST_ESTIMATE[quality] * force_n

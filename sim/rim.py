@@ -7,33 +7,21 @@ sphere's torque at `standard` three times smaller (15.5 to 4.7 % rms), in 1 ms.
 """
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 
 from gelgap.sim.grading import sizes_along
 from gelgap.sim.indenter import Floats, Sphere
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import MESHES, ContactProblem
 from gelgap.sim.shapes import Ellipsoid
 from gelgap.sim.solution import Record, Solution
 
-# The edge of the contact, over which the line is fitted, carries these shares of the normal force outside of it.
-_EDGE_SHARES = (0.02, 0.6)
-# Vertices up to this many cells outside of the outermost in contact say where the gap begins, by this power of it,
-# unless they are one ring: radii that differ by less than a share.
-_GAP_CELLS, _GAP_POWER = 2.0, 2 / 3
-_ONE_RING_SHARE = 1e-3
-# Below this a gap is a rounding error.
-_SMALLEST_GAP_MM = 1e-4
-# The membrane leaves the indenter this share of a cell further out than the gaps of its vertices say (presses of
-# sphere, cone and flat end), and a mesh's torque sits as much further in (sticking twists of a sphere on seven meshes).
-_BEYOND_GAP_CELLS, _BEYOND_TORQUE_CELLS = 0.07, 0.06
 # The radius over the root mean square of those at which the torque acts: shear of a sticking twist grows as
 # r / sqrt(a² - r²) on a half-space (Reissner & Sagoci 1944), and by finite elements to 1 % on thin pads as well.
 _RADIUS_OVER_TORQUES = math.sqrt(1.25)
-# The mesh takes no contact of a sticking twist to be wider or narrower by more than this.
-_LARGEST_CORRECTION_SHARE = 0.2
-# A contact that was pushed sideways by more than this share of its normal force is not round.
-_LARGEST_SIDEWAYS_SHARE = 1e-2
+# Chosen or fitted beside the references; the file says what each does.
+_RIM = SimpleNamespace(**MESHES["rim"])
 
 
 def contact_radius_mm(solution: Solution, record: Record) -> float:
@@ -56,9 +44,9 @@ def twist_factor(solution: Solution, record: Record) -> float:
     torques = places_mm[:, 0] * force_n[:, 1] - places_mm[:, 1] * force_n[:, 0]
     mean_square = float((torques * (places_mm**2).sum(axis=1)).sum() / (torques.sum() or math.inf))
     cell_mm = _cell_mm(solution.problem, radius_mm)
-    turned_mm = _RADIUS_OVER_TORQUES * math.sqrt(max(mean_square, 0.0)) + _BEYOND_TORQUE_CELLS * cell_mm
+    turned_mm = _RADIUS_OVER_TORQUES * math.sqrt(max(mean_square, 0.0)) + _RIM.beyond_torque_cells * cell_mm
     # Without a twist, torque is noise.
-    if abs(turned_mm - radius_mm) > _LARGEST_CORRECTION_SHARE * radius_mm:
+    if abs(turned_mm - radius_mm) > _RIM.largest_correction_share * radius_mm:
         return 1.0
     sticks = max(0.0, 2 * record.diagnostics.sticking_fraction - 1)
     return (radius_mm / turned_mm) ** (3 * sticks)
@@ -111,7 +99,7 @@ def _gap_radius_mm(solution: Solution, record: Record) -> float | None:
     sideways_n = float(np.hypot(*record.force_n[:2]))
     if not (problem.is_round and problem.indenter.convex) or record.indenter_mm[:2].any():
         return None
-    if sideways_n > _LARGEST_SIDEWAYS_SHARE * abs(record.force_n[2]):
+    if sideways_n > _RIM.largest_sideways_share * abs(record.force_n[2]):
         return None
     rest_mm, displacement_mm, force_n = solution.whole_surface(record)
     touching = force_n > 0
@@ -123,12 +111,12 @@ def _gap_radius_mm(solution: Solution, record: Record) -> float | None:
     distance_mm = np.hypot(*from_origin_mm[:, :2].T)
     outermost_mm = float(distance_mm[touching].max())
     cell_mm = _cell_mm(problem, outermost_mm)
-    free = ~touching & (gap_mm > _SMALLEST_GAP_MM)
-    beside = free & (distance_mm < outermost_mm + _GAP_CELLS * cell_mm)
-    if np.count_nonzero(beside) < 3 or np.ptp(distance_mm[beside]) < _ONE_RING_SHARE * outermost_mm:
+    free = ~touching & (gap_mm > _RIM.smallest_gap_mm)
+    beside = free & (distance_mm < outermost_mm + _RIM.gap_cells * cell_mm)
+    if np.count_nonzero(beside) < 3 or np.ptp(distance_mm[beside]) < _RIM.one_ring_share * outermost_mm:
         return None
-    slope, offset = np.polyfit(distance_mm[beside], gap_mm[beside] ** _GAP_POWER, 1)
-    radius_mm = -offset / slope + _BEYOND_GAP_CELLS * cell_mm if slope > 0 else 0.0
+    slope, offset = np.polyfit(distance_mm[beside], gap_mm[beside] ** (2 / 3), 1)
+    radius_mm = -offset / slope + _RIM.beyond_gap_cells * cell_mm if slope > 0 else 0.0
     return float(radius_mm) if abs(radius_mm - outermost_mm) < cell_mm else None
 
 
@@ -150,7 +138,7 @@ def _pressure_radius_mm(solution: Solution, record: Record) -> float:
     share_outside = (np.cumsum(force) - 0.5 * force) / force.sum()
     largest = float(np.sqrt(square.max()))
     one_radius = 1e-6 * square.max()
-    edge = (share_outside > _EDGE_SHARES[0]) & (share_outside < _EDGE_SHARES[1])
+    edge = (share_outside > _RIM.edge_shares[0]) & (share_outside < _RIM.edge_shares[1])
     if edge.sum() < 3 or np.ptp(square[edge]) < one_radius:
         edge = share_outside > 0
     if np.ptp(square[edge]) < one_radius:

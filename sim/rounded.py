@@ -67,8 +67,8 @@ class Shape(Indenter):
 
     @property
     def _rounding_mm(self) -> float:
-        """The smallest radius of curvature."""
-        return self.edge_radius_mm
+        """The smallest radius of curvature: of the edge, if the shape has no smaller one."""
+        return float(getattr(self, "edge_radius_mm", 0.0))
 
     @abstractmethod
     def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
@@ -152,7 +152,6 @@ class Shape(Indenter):
         return float(self.reach_mm(np.array([[0.0, 0.0, -1.0]]))[0])
 
     def reach_mm(self, directions: Floats) -> Floats:
-        """Return how far (n,) the body reaches from its origin in directions (n, 3)."""
         return self._support_mm(directions @ self.axes)
 
     @property

@@ -7,17 +7,17 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from gelgap.assets import asset_path
 from gelgap.assets.settings import PresetSettings, within
+from gelgap.assets.toml_file import read_toml
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
 PadEdges = tuple[float, float, float, float]
 
-# Of `equivalent_moduli`, printed by `scripts/calibrate_material.py` of commit 032934a, the last that has it.
-SMALLEST_CALIBRATED_POISSON_RATIO = 0.3
-MODULUS_COEFFICIENTS = (0.2294, -0.0290)
-POISSON_COEFFICIENTS = (0.0452, -0.1176)
+# Of `equivalent_moduli`; the file says how they were fitted.
+_MODULI = read_toml(asset_path("fitted", "moduli.toml"))
 
 # The contact class of a pose that is not on the paper's grid.
 NO_CLASS = -1
@@ -59,9 +59,9 @@ def equivalent_moduli(isochoric: Moduli) -> Moduli:
     thickness and two thirds of the sphere's radius; below 0.3 the shift is that of 0.3. What remains is a trend with
     depth, because E′ cannot be right at small and at large strain together: see docs/physics-reference.md.
     """
-    x = 1 - 2 * max(isochoric.poisson_ratio, SMALLEST_CALIBRATED_POISSON_RATIO)
-    a, b = MODULUS_COEFFICIENTS
-    c, d = POISSON_COEFFICIENTS
+    x = 1 - 2 * max(isochoric.poisson_ratio, _MODULI["smallest_poisson_ratio"])
+    a, b = _MODULI["modulus"]
+    c, d = _MODULI["poisson"]
     return Moduli(
         isochoric.young_modulus_mpa * (1 + x * (a + b * x)),
         max(0.0, isochoric.poisson_ratio + x * (c + d * x)),
@@ -110,8 +110,10 @@ class Elastomer(PresetSettings):
     @field_validator("static_friction")
     @classmethod
     def _check_static_friction(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None:
+            return None
         kinetic = info.data.get("friction", value)
-        if value is not None and (value < kinetic or value > kinetic == 0):
+        if value < kinetic or value > kinetic == 0:
             raise ValueError(f"must be at least friction, {kinetic:g}, and equal to it if that is 0")
         return value
 

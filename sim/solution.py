@@ -4,7 +4,6 @@ The cache has one file per key, safe for concurrent writers and for a crash.
 """
 
 import io
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
@@ -127,10 +126,11 @@ class Solution:
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
     problem, records = _PROBLEM.dump_json(solution.problem), solution.records
-    of_vertices = {
-        name: np.concatenate([getattr(record, name) for record in records]) for name in _OF_VERTICES
-    }
-    stacked = {name: np.stack([getattr(record, name) for record in records]) for name in _STACKED}
+    arrays: dict[str, Any] = {}
+    for name in _OF_VERTICES:
+        arrays[name] = np.concatenate([getattr(record, name) for record in records])
+    for name in _STACKED:
+        arrays[name] = np.stack([getattr(record, name) for record in records])
     diagnostics = np.array([astuple(record.diagnostics) for record in records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
@@ -139,8 +139,7 @@ def solution_bytes(solution: Solution) -> bytes:
         rest_mm=np.concatenate(solution.rest_mm),
         vertices=[len(rest_mm) for rest_mm in solution.rest_mm],
         diagnostics=diagnostics,
-        **of_vertices,
-        **stacked,
+        **arrays,
     )
     return buffer.getvalue()
 
@@ -148,12 +147,13 @@ def solution_bytes(solution: Solution) -> bytes:
 def solution_from_bytes(data: bytes) -> Solution | None:
     """Return the solution of a file's bytes; None if they cannot be read, or are of another version."""
     try:
-        arrays = read_arrays(data)
+        arrays: dict[str, Any] = {**read_arrays(data)}
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
         rest_mm = np.split(arrays["rest_mm"], np.cumsum(arrays["vertices"])[:-1])
         ends = np.cumsum(arrays["vertices"][arrays["mesh"]])[:-1]
-        of_vertices = {name: np.split(arrays[name], ends) for name in _OF_VERTICES}
-        records = tuple(_record(arrays | of_vertices, index) for index in range(len(problem.waypoints_mm)))
+        for name in _OF_VERTICES:
+            arrays[name] = np.split(arrays[name], ends)
+        records = tuple(_record(arrays, index) for index in range(len(problem.waypoints_mm)))
         return Solution(problem, tuple(rest_mm), records)
     except (ValueError, KeyError, IndexError):
         return None
@@ -161,30 +161,24 @@ def solution_from_bytes(data: bytes) -> Solution | None:
 
 def _record(arrays: Mapping[str, Sequence[Any]], index: int) -> Record:
     of_record = {name: arrays[name][index] for name in (*_OF_VERTICES, *_STACKED)}
-    of_record["converged"], of_record["mesh"] = bool(of_record["converged"]), int(of_record["mesh"])
-    kinds = [type(field.default) for field in fields(SolveDiagnostics)]
-    values = zip(kinds, arrays["diagnostics"][index], strict=True)
-    return Record(**of_record, diagnostics=SolveDiagnostics(*(kind(value) for kind, value in values)))
-
-
-@dataclass(frozen=True)
-class CacheEntry:
-    """One cached file: `problem` is None if it cannot be read; `current` says whether this version would take it."""
-
-    key: str
-    bytes: int
-    age_s: float
-    problem: ContactProblem | None
-    current: bool
+    of_record["converged"] = bool(of_record["converged"])
+    of_record["mesh"] = int(of_record["mesh"])
+    diagnostics: dict[str, Any] = {
+        field.name: value.item()
+        for field, value in zip(fields(SolveDiagnostics), arrays["diagnostics"][index], strict=True)
+    }
+    diagnostics["iterations"] = int(diagnostics["iterations"])
+    return Record(**of_record, diagnostics=SolveDiagnostics(**diagnostics))
 
 
 def load_solution(key: str) -> Solution | None:
     """Return the cached solution of that key, or None if there is none that can be read."""
-    solution = _read(_path(key))
+    solution = read_solution(_path(key))
     return solution if solution is not None and solution.problem.key == key else None
 
 
-def _read(file: Path) -> Solution | None:
+def read_solution(file: Path) -> Solution | None:
+    """Return the solution of a file; None if it is gone or cannot be read."""
     try:
         return solution_from_bytes(file.read_bytes())
     except OSError:
@@ -204,21 +198,6 @@ def store_solution(solution: Solution) -> None:
 def cached_files() -> list[Path]:
     """Return the files of the cached solutions."""
     return list(cache_folder().glob(f"*{_SUFFIX}"))
-
-
-def cache_entries() -> tuple[CacheEntry, ...]:
-    """Read what each cached file is, newest first."""
-    entries = []
-    for file in cached_files():
-        try:
-            about = file.stat()
-        except FileNotFoundError:
-            continue
-        solution = _read(file)
-        problem = None if solution is None else solution.problem
-        current = problem is not None and problem.key == file.stem
-        entries.append(CacheEntry(file.stem, about.st_size, time.time() - about.st_mtime, problem, current))
-    return tuple(sorted(entries, key=lambda entry: entry.age_s))
 
 
 def clear_cache() -> None:

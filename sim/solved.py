@@ -25,11 +25,13 @@ from gelgap.sim.relief import recesses_of, with_fill
 from gelgap.sim.rim import contact_radius_mm, twist_factor
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
+from gelgap.sim.surface import Surface
 from gelgap.sim.traction import Slip, Traction, balanced_traction
 
 # Vertices beside a pressing edge share its load unevenly. The pressure that fills recesses is therefore averaged over
 # this many points of the grid, which is half a millimetre.
 _SHARED_POINTS = 5
+_NO_SLIP = "{}: a pose without contact has no slip"
 # Many poses share a record: a frame takes 1 ms longer where each is diagnosed by itself.
 _diagnosed = lru_cache(maxsize=64)(diagnose)
 
@@ -44,6 +46,32 @@ class Placement:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class NoContact(MembraneState):
+    """The undeformed membrane at a pose that presses nothing into it: no solve is needed, and nothing is estimated."""
+
+    pose: Pose
+
+    @property
+    def pressure_mpa(self) -> NDArray[np.float32]:
+        """Zero on the rest grid, (ny, nx)."""
+        return np.zeros(self.contact.shape, np.float32)
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """Zero: the indenter (3,) has come no further than to the gel."""
+        return np.zeros(3)
+
+    def traction(self) -> Traction:
+        """Return a contact stress of zero on the membrane."""
+        point_mm = (self.pose.point_x_mm, self.pose.point_y_mm)
+        return balanced_traction(self, point_mm, np.zeros((*self.contact.shape, 3)))
+
+    def slip(self) -> Slip:
+        """Raise ValueError: what does not touch does not slip."""
+        raise ValueError(_NO_SLIP.format(f"depth_mm = {self.pose.depth_mm:g}"))
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SolvedPose(MembraneState):
     """The membrane at a pose that was solved; pressure, stress and slip follow from the same solve when asked for."""
 
@@ -52,11 +80,9 @@ class SolvedPose(MembraneState):
     @cached_property
     def pressure_mpa(self) -> NDArray[np.float32]:
         """The normal pressure on the rest grid, (ny, nx)."""
-        own = self.contact_solve
-        if own.placement is None:
-            return np.zeros(self.contact.shape, np.float32)
-        pressure = own.around(pressure_table(own.solution, own.record), self)[..., 0]
-        return (pressure * own.modulus_ratio).astype(np.float32)
+        solve = self.contact_solve
+        pressure = solve.around(pressure_table(solve.solution, solve.record), self)[..., 0]
+        return (pressure * solve.modulus_ratio).astype(np.float32)
 
     @property
     def indenter_mm(self) -> Floats:
@@ -65,11 +91,10 @@ class SolvedPose(MembraneState):
 
     def traction(self) -> Traction:
         """Return the contact stress on the membrane."""
-        own, stress_mpa = self.contact_solve, np.zeros((*self.contact.shape, 3))
-        if own.placement is not None:
-            per_modulus = own.around(traction_table(own.solution, own.record), self)
-            stress_mpa = own.placement.frame.on_sensor(per_modulus * own.modulus_ratio)
-        return balanced_traction(self, (own.pose.point_x_mm, own.pose.point_y_mm), stress_mpa)
+        solve = self.contact_solve
+        per_modulus = solve.around(traction_table(solve.solution, solve.record), self)
+        stress_mpa = solve.placement.frame.on_sensor(per_modulus * solve.modulus_ratio)
+        return balanced_traction(self, (solve.pose.point_x_mm, solve.pose.point_y_mm), stress_mpa)
 
     def slip(self) -> Slip:
         """Return how far the membrane has slid over the indenter since the press straight down.
@@ -80,7 +105,7 @@ class SolvedPose(MembraneState):
         Raises
         ------
         ValueError
-            If this pose or that one makes no contact.
+            If that pose makes no contact.
         """
         before, after = self.contact_solve.press(), self.contact_solve
         first = before.state()
@@ -95,13 +120,13 @@ class SolvedPose(MembraneState):
 
 @dataclass(frozen=True)
 class ContactSolve:
-    """What a pose follows from: the scene, and the solve that serves it; without contact there is no placement."""
+    """What a solved pose follows from: the scene, and the record of the solution that serves it."""
 
     elastomer: Elastomer
     indenter: Indenter
     pose: Pose
-    placement: Placement | None
-    solution: Solution | None
+    placement: Placement
+    solution: Solution
 
     @property
     def record(self) -> Record:
@@ -116,59 +141,7 @@ class ContactSolve:
     @property
     def indenter_mm(self) -> Floats:
         """How far the indenter (3,) has come from touching the gel, on the sensor."""
-        return (
-            np.zeros(3) if self.placement is None else self.placement.frame.on_sensor(self.record.indenter_mm)
-        )
-
-    def state(self, half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> SolvedPose:
-        """Return the membrane on a grid that covers the contact and reaches at least `half_extent_mm`.
-
-        It reaches no further than the pad if that is larger than the grid by default.
-        """
-        placement, indenter = self.placement, self.indenter
-        if placement is not None:
-            indenter = self.solution.problem.body_at(placement.record)
-        extent_mm = covered_extent_mm(self.elastomer, indenter, self.pose, half_extent_mm)
-        x_mm, y_mm = grid_axes(extent_mm)
-        if placement is None:
-            return SolvedPose.untouched(x_mm, y_mm, contact_solve=self)
-        record, ratio = self.record, self.modulus_ratio
-        between, radius_mm, twist = _membrane_and_edge(self.solution, placement.record)
-        rest_mm = placement.frame.points_mm(x_mm, y_mm, self.pose)
-        displacement_mm = between.at(rest_mm)
-        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        found = _diagnosed(self.solution, placement.record, radius_mm, twist, ratio, self.elastomer)
-        recesses = recesses_of(self.solution.problem)
-        if recesses is not None and contact.any():
-            from scipy.ndimage import uniform_filter
-
-            field_mpa = pressure_table(self.solution, record).at(rest_mm)[..., 0]
-            smooth_mpa = uniform_filter(field_mpa * contact, _SHARED_POINTS)
-            pressure_mpa = uniform_filter(smooth_mpa, _SHARED_POINTS)[contact]
-            from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
-            filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
-            displacement_mm[contact] += filled_mm
-            force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
-            found = with_fill(found, filled_mm, force_n, depth_mm, self.solution.problem.quality.name)
-        displacement_mm = placement.frame.on_sensor(displacement_mm).astype(np.float32)
-        folded = is_folded(x_mm, y_mm, displacement_mm)
-        return SolvedPose(
-            x_mm,
-            y_mm,
-            displacement_mm,
-            contact,
-            force_n=placement.frame.on_sensor(record.force_n * ratio),
-            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * [1, 1, twist] * ratio),
-            contact_radius_mm=radius_mm,
-            converged=record.converged and not folded,
-            diagnostics=replace(found, folded=folded),
-            contact_solve=self,
-        )
-
-    def around(self, table: PolarTable, state: MembraneState) -> Floats:
-        """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
-        return table.at(self.placement.frame.points_mm(state.x_mm, state.y_mm, self.pose))
+        return self.placement.frame.on_sensor(self.record.indenter_mm)
 
     @property
     def origin_mm(self) -> Floats:
@@ -176,25 +149,66 @@ class ContactSolve:
         height_mm = self.indenter.turned(self.pose.turn_deg).origin_height_mm
         return self.indenter_mm + np.array([self.pose.point_x_mm, self.pose.point_y_mm, height_mm])
 
+    def around(self, table: PolarTable, state: MembraneState) -> Floats:
+        """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
+        return table.at(self.placement.frame.points_mm(state.x_mm, state.y_mm, self.pose))
+
     def press(self) -> "ContactSolve":
         """Return the last pose on the indenter's way before it went sideways or turned."""
-        if self.placement is None:
-            raise ValueError(f"depth_mm = {self.pose.depth_mm:g}: a pose without contact has no slip")
-        problem = self.solution.problem
-        leans = problem.commands[:, [0, 1, 3, 4, 5]].any(axis=1)
-        # The way begins straight down.
-        press, *others = problem.way(self.placement.record)
-        for waypoint in others:
-            if leans[waypoint]:
-                break
-            press = waypoint
-        depth_mm = -problem.waypoints_mm[press][2]
+        press = self.solution.problem.straight_down(self.placement.record)
+        depth_mm = -self.solution.problem.waypoints_mm[press][2]
         if depth_mm == 0:
-            raise ValueError("depth_mm = 0 on the way to this pose: a pose without contact has no slip")
+            raise ValueError(_NO_SLIP.format("depth_mm = 0 on the way to this pose"))
         pose = replace(
             self.pose, depth_mm=depth_mm, shear_x_mm=0.0, shear_y_mm=0.0, twist_deg=0.0, roll_deg=(0.0, 0.0)
         )
         return replace(self, pose=pose, placement=replace(self.placement, record=press))
+
+    def state(self, half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> SolvedPose:
+        """Return the membrane on a grid that covers the contact and reaches at least `half_extent_mm`.
+
+        It reaches no further than the pad if that is larger than the grid by default.
+        """
+        solution, index, frame = self.solution, self.placement.record, self.placement.frame
+        record, ratio = self.record, self.modulus_ratio
+        indenter = solution.problem.body_at(index)
+        x_mm, y_mm = grid_axes(covered_extent_mm(self.elastomer, indenter, self.pose, half_extent_mm))
+        between, radius_mm, twist = _membrane_and_edge(solution, index)
+        diagnostics = _diagnosed(solution, index, radius_mm, twist, ratio, self.elastomer)
+        rest_mm = frame.points_mm(x_mm, y_mm, self.pose)
+        displacement_mm = between.at(rest_mm)
+        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
+        recesses = recesses_of(solution.problem)
+        if recesses is not None and isinstance(indenter, Surface) and contact.any():
+            pressure_mpa = _shared_pressure_mpa(pressure_table(solution, record).at(rest_mm)[..., 0], contact)
+            from_origin_mm = np.pad(rest_mm[contact], ((0, 0), (0, 1))) + displacement_mm[contact] - origin_mm
+            filled_mm = recesses.fill(from_origin_mm, indenter, pressure_mpa)
+            displacement_mm[contact] += filled_mm
+            force_n, depth_mm = ratio * abs(record.force_n[2]), abs(record.indenter_mm[2])
+            diagnostics = with_fill(diagnostics, filled_mm, force_n, depth_mm, solution.problem.quality.name)
+        on_sensor_mm = frame.on_sensor(displacement_mm).astype(np.float32)
+        folded = is_folded(x_mm, y_mm, on_sensor_mm)
+        return SolvedPose(
+            x_mm,
+            y_mm,
+            on_sensor_mm,
+            contact,
+            force_n=frame.on_sensor(record.force_n * ratio),
+            torque_n_mm=frame.torque_on_sensor(record.torque_n_mm * [1, 1, twist] * ratio),
+            contact_radius_mm=radius_mm,
+            converged=record.converged and not folded,
+            diagnostics=replace(diagnostics, folded=folded),
+            contact_solve=self,
+        )
+
+
+def _shared_pressure_mpa(field_mpa: Floats, contact: NDArray[np.bool_]) -> Floats:
+    """Return the pressure (n,) at the points in contact of a field (ny, nx), averaged twice over its neighbours."""
+    from scipy.ndimage import uniform_filter
+
+    once_mpa = uniform_filter(field_mpa * contact, _SHARED_POINTS)
+    return uniform_filter(once_mpa, _SHARED_POINTS)[contact]
 
 
 @lru_cache(maxsize=64)

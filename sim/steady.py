@@ -4,36 +4,21 @@ The mesh and the load steps of a long slide then are those of its beginning. A s
 the depth, takes a quarter of the time.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
 from gelgap.sim.estimate import LARGEST_ESTIMATE
 from gelgap.sim.indenter import Floats
-from gelgap.sim.problem import ContactProblem, SolveProgress, silent
+from gelgap.sim.problem import MESHES, ContactProblem, SolveProgress, silent
 from gelgap.sim.solution import Record, Solution
 
-# A drag is solved up to at least this many times the travel at which a paraboloid's contact has slipped wholly, and
-# looked at some way before that as well.
-_TRAVELS_TO_SLIP = 1.6
-_EARLIER_SHARE = 0.75
-# A drag is straight if no waypoint is further than this share of its way from the line.
-_STRAIGHT_SHARE = 1e-4
-# It is solved to its end if that is no more than this many times as far.
-_SHORTENED_RATIO = 1.25
-# A slide is steady if no more of its load than this share sticks at one of the two looks, since what has slid wholly
-# sticks again only as single vertices that come into contact do, and if its force changed by no more than
-# `_LARGEST_CHANGE` between them, as a share of what a quality promises. The pad's edges may change it as much between
-# where a slide is solved and where its state is moved to; one that they change more is solved where it ends.
-_STICKING_SHARE = 0.02
-_LARGEST_CHANGE = 0.5
-# An edge 2.4 thicknesses ahead of a contact of 0.47 of them in radius changes Fx by this, and half as much with every
-# 0.4 thicknesses (docs/physics.md, Near edges); it is taken to be in proportion to the radius.
-_OF_EDGE, _EDGE_THICKNESSES, _EDGE_RADIUS, _HALVED_BY = 0.019, 2.4, 0.47, 0.4
+# Chosen beside slides that were solved to their ends; the file says what each does.
+_SLIDE = SimpleNamespace(**MESHES["slide"])
 
 
 @dataclass(frozen=True)
@@ -119,19 +104,21 @@ def solve_steadily(
     both have in common, such as the press, is not solved again. One that slides wholly twice and still changes does so
     as its vertices come and go, however far it is: the change is its stated error.
     """
-    travels, slid_wholly, largest = _TRAVELS_TO_SLIP, False, _largest_change(problem)
+    travels = _SLIDE.travels_to_slip
+    slid_wholly = False
+    largest = _largest_change(problem)
     solved: dict[ContactProblem, Solution] = {}
     while (slide := steady_slide(problem, travels)) is not None:
-        ends = list(itertools.accumulate((own.load_steps for own in slide.solved), initial=0))
+        total = sum(part.load_steps for part in slide.solved)
+        before = 0
         solutions: list[Solution] = []
-        for own, before in zip(slide.solved, ends[:-1], strict=True):
-            if own not in solved:
-                solved[own] = solve(
-                    own, lambda done, _, before=before, total=ends[-1]: progress(before + done, total)
-                )
-            solutions.append(solved[own])
+        for part in slide.solved:
+            if part not in solved:
+                solved[part] = solve(part, _as_part(progress, before, total))
+            before += part.load_steps
+            solutions.append(solved[part])
             looks = slide.looks(solutions)
-            slides_wholly = all(look.sticking <= _STICKING_SHARE for look in looks)
+            slides_wholly = all(look.sticking <= _SLIDE.sticking_share for look in looks)
             if not (slides_wholly and (slid_wholly or all(look.change <= largest for look in looks))):
                 break
         else:
@@ -140,13 +127,24 @@ def solve_steadily(
     return solve(problem, progress)
 
 
+def _as_part(progress: SolveProgress, before: int, total: int) -> SolveProgress:
+    """Return the progress of a part of a solve, `before` which as many load steps of the `total` are done."""
+
+    def told(done: int, _: int) -> None:
+        progress(before + done, total)
+
+    return told
+
+
 def solved_problems(problem: ContactProblem) -> tuple[ContactProblem, ...]:
     """Return what is solved for a problem."""
     slide = steady_slide(problem)
     return (problem,) if slide is None else slide.solved
 
 
-def steady_slide(problem: ContactProblem, travels_to_slip: float = _TRAVELS_TO_SLIP) -> SteadySlide | None:
+def steady_slide(
+    problem: ContactProblem, travels_to_slip: float = _SLIDE.travels_to_slip
+) -> SteadySlide | None:
     """Return how a problem is shortened; None if it has no straight slide that goes on far beyond full slip.
 
     That is `travels_to_slip` times the travel to it.
@@ -170,7 +168,7 @@ def steady_slide(problem: ContactProblem, travels_to_slip: float = _TRAVELS_TO_S
 
     for (x, y, z), parent in zip(problem.waypoints_mm, problem.parents, strict=True):
         start = np.array(problem.waypoints_mm[parent]) if parent >= 0 else np.zeros(3)
-        before = waypoints[parent] if parent >= 0 else -1
+        before: int | _Moved = waypoints[parent] if parent >= 0 else -1
         travel, travelled = math.hypot(x, y), math.hypot(*start[:2])
         if travel == 0:
             if travelled > 0:
@@ -182,11 +180,11 @@ def steady_slide(problem: ContactProblem, travels_to_slip: float = _TRAVELS_TO_S
             parent < 0
             or start[2] != z
             or travelled > travel
-            or np.abs(start[:2] - travelled * along).max() > _STRAIGHT_SHARE * travel
+            or np.abs(start[:2] - travelled * along).max() > _SLIDE.straight_share * travel
         ):
             return None
         slides_mm = travels_to_slip * travel_to_slip_mm(problem, -z)
-        if travel <= _SHORTENED_RATIO * slides_mm:
+        if travel <= _SLIDE.shortened_ratio * slides_mm:
             waypoints.append(add(np.array([x, y, z]), before))
             continue
         root = parent
@@ -195,17 +193,19 @@ def steady_slide(problem: ContactProblem, travels_to_slip: float = _TRAVELS_TO_S
         # What goes on from a slide is of its line, whatever the rounding of its direction.
         key = lines[parent] if isinstance(before, _Moved) else (root, *along.round(9).tolist())
         lines[len(waypoints)] = key
-        place_mm, of_line = np.array([x, y]), ends.setdefault(key, [])
+        place_mm = np.array([x, y])
+        of_line = ends.setdefault(key, [])
         # Beyond a waypoint that is solved it is to slide as far as between the two looks.
-        first_mm = max(slides_mm, min(travel, travelled + (1 - _EARLIER_SHARE) * slides_mm)) * along
-        if not of_line and _of_edges(problem, first_mm, place_mm) <= largest:
-            end, earlier = before, -1
+        first_mm = max(slides_mm, min(travel, travelled + (1 - _SLIDE.earlier_share) * slides_mm)) * along
+        near_enough = _of_edges(problem, first_mm, place_mm) <= largest
+        if isinstance(before, int) and not of_line and near_enough:
+            last, earlier = before, -1
             if slides_mm > 0:
                 earlier = before
-                if travelled < _EARLIER_SHARE * slides_mm:
-                    earlier = add(np.array([*_EARLIER_SHARE * slides_mm * along, z]), before)
-                end = add(np.array([*first_mm, z]), earlier)
-            of_line.append(_End(0, end, earlier, first_mm))
+                if travelled < _SLIDE.earlier_share * slides_mm:
+                    earlier = add(np.array([*_SLIDE.earlier_share * slides_mm * along, z]), before)
+                last = add(np.array([*first_mm, z]), earlier)
+            of_line.append(_End(0, last, earlier, first_mm))
         serving = [end for end in of_line if _of_edges(problem, end.place_mm, place_mm) <= largest]
         if not serving:
             others.append(_slide_that_ends(problem, place_mm, slides_mm * along, z))
@@ -226,7 +226,7 @@ def _slide_that_ends(
 ) -> ContactProblem:
     """Return the problem of a slide by (2,) at a height that ends at a place (2,), in the frame where it begins."""
     shift_mm = place_mm - slide_mm
-    shares = (0.0, _EARLIER_SHARE, 1.0) if slide_mm.any() else (0.0,)
+    shares = (0.0, _SLIDE.earlier_share, 1.0) if slide_mm.any() else (0.0,)
     places = [(*(share * slide_mm).round(12).tolist(), z_mm) for share in shares]
     edges_mm = np.array(problem.pad_mm) - np.repeat(shift_mm, 2)
     return replace(
@@ -251,7 +251,7 @@ def travel_to_slip_mm(problem: ContactProblem, depth_mm: float) -> float:
 
 def _largest_change(problem: ContactProblem) -> float:
     """Return by what share of its force a slide that counts as steady may be off for one reason."""
-    return _LARGEST_CHANGE * LARGEST_ESTIMATE[problem.quality.name]
+    return _SLIDE.largest_change * LARGEST_ESTIMATE[problem.quality.name]
 
 
 def _of_edges(problem: ContactProblem, place_mm: Floats, other_mm: Floats) -> float:
@@ -261,12 +261,8 @@ def _of_edges(problem: ContactProblem, place_mm: Floats, other_mm: Floats) -> fl
     edges_mm, outwards = np.reshape(problem.pad_mm, (2, 2)), np.array([-1.0, 1.0])
     away_mm = np.stack([outwards * (edges_mm - place[:, None]) for place in (place_mm, other_mm)])
     radius = problem.penetration_radius_mm / problem.thickness_mm
-    shares = (
-        _OF_EDGE
-        * radius
-        / _EDGE_RADIUS
-        * 2 ** ((_EDGE_THICKNESSES - away_mm / problem.thickness_mm) / _HALVED_BY)
-    )
+    nearness = 2 ** ((_SLIDE.edge_thicknesses - away_mm / problem.thickness_mm) / _SLIDE.halved_by)
+    shares = _SLIDE.of_edge * radius / _SLIDE.edge_radius * nearness
     return float(np.abs(shares[1] - shares[0]).sum())
 
 

@@ -172,11 +172,8 @@ class Surface(Shape):
             if path.suffix.lower() in MAP_SUFFIXES:
                 values = _map_values(path)
                 step_mm = 1.0 if step_mm is None and path.suffix.lower() == ".npy" else step_mm
-                bounds = ("spacing_mm", spacing_mm, 0, 1), ("step_mm", step_mm, -1000, 1000)
-                for name, given, least, most in bounds:
-                    if not isinstance(given, float | int) or not least <= given <= most or given == 0:
-                        allowed = f"{least} to {most} mm, not 0, as spacing_mm=0.05 step_mm=1e-5"
-                        raise ValueError(f"{name} = {given!r}: must be {allowed}")
+                spacing_mm = _size_mm("spacing_mm", spacing_mm, 0, 1)
+                step_mm = _size_mm("step_mm", step_mm, -1000, 1000)
                 empty = values == 0
                 if step_mm < 0 and empty.any() and values[~empty].min(initial=np.inf) > values.max() / 2:
                     said = "%s: %d places are 0 and touch first: if a depth camera saw nothing there, fill them in"
@@ -281,6 +278,14 @@ def grid_under(triangles_mm: Floats) -> tuple[Floats, float]:
     half_mm = np.abs(triangles_mm[..., :2]).max(axis=(0, 1))
     spacing_mm = max(round(2 * half_mm.max() / _MOST_PLACES, 6), _FINEST_MM)
     return lower_side_mm(triangles_mm, (half_mm + spacing_mm).tolist(), spacing_mm), spacing_mm
+
+
+def _size_mm(name: str, given: float | None, least: float, most: float) -> float:
+    """Return a size of a height map, or raise ValueError if it is none."""
+    if not isinstance(given, float | int) or not least <= given <= most or given == 0:
+        allowed = f"{least} to {most} mm, not 0, as spacing_mm=0.05 step_mm=1e-5"
+        raise ValueError(f"{name} = {given!r}: must be {allowed}")
+    return given
 
 
 class _Band(NamedTuple):

@@ -6,12 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from gelgap.adapt.evaluation import BASELINES
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.result_table import ResultTable
-from gelgap.benchmarks.adaptation.board import BY_POINT
-from gelgap.benchmarks.adaptation.groups import load_headline
-from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid
+from gelgap.benchmarks.adaptation.protocol import BY_POINT
+from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid, load_runs
+from gelgap.benchmarks.adaptation.tables import of_data
 from gelgap.benchmarks.common import key_of, run_missing
 
 Record = tuple[dict[str, Any], dict[str, Any]]
@@ -54,15 +56,15 @@ def write_runs(file: Path, records: Iterable[Record]) -> None:
     run_missing(lambda run: results[key_of(run)][1], [run for run, _ in results.values()], file, workers=1)
 
 
-def write_benchmark(folder: Path, records: Iterable[Record]) -> Path:
-    """Write the runs of a folder of the benchmark."""
+def loaded(folder: Path, records: Iterable[Record]) -> pd.DataFrame:
+    """Return runs as they are read from the file of the benchmark."""
     write_runs(folder / RUNS, records)
-    return folder
+    return load_runs(folder / RUNS)
 
 
-def headline_of(folder: Path, records: Iterable[Record], data: str = "paired"):
-    """Return runs as the tables of the headline take them."""
-    return load_headline(write_benchmark(folder, records), data)
+def headline_of(folder: Path, records: Iterable[Record], data: str = "paired") -> pd.DataFrame:
+    """Return the runs of a data set as the tables of groups take them."""
+    return of_data(loaded(folder, records), data)
 
 
 def rows_of(table: ResultTable) -> dict[str, dict[str, str]]:

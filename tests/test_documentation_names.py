@@ -10,7 +10,6 @@ from pathlib import Path
 
 from documented import FENCE, ROOT, page_text
 
-from gelgap.adapt.methods.registry import ENTRY_POINTS
 from gelgap.cli.main import COMMANDS, main
 
 PAGES = (
@@ -18,7 +17,10 @@ PAGES = (
     "CONTRIBUTING.md",
     *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")),
 )
-ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
+ROOMS = (
+    "sim|render|data/frames|data/formats|domains|calibrate|view|adapt|benchmarks|assets"
+    "|cli|tests|examples|scripts|docs"
+)
 
 
 OF_ANOTHER_COMMIT = re.compile(
@@ -84,9 +86,7 @@ def flags_of(command: str) -> set[str]:
 
 
 def exists(name: str) -> bool:
-    """Whether a dotted name is something of gelgap, or the group of its entry points."""
-    if name == ENTRY_POINTS:
-        return True
+    """Whether a dotted name is something of gelgap."""
     try:
         pkgutil.resolve_name(name)
     except (ImportError, AttributeError):

@@ -282,12 +282,10 @@ def test_scripts_in_names_are_shown_and_not_run(files: Path) -> None:
     names = {"method": "<b>bold|${x}", "profile": {"name": "<img src=x onerror=alert(1)>"}}
     (folder / "run.json").write_bytes(run_record(**names)(files))
     page = write_report(files / "runs", files / "report")
-    html, markdown, latex = (page.with_suffix(end).read_text() for end in (".html", ".md", ".tex"))
-    for text in (html, markdown):
-        assert "<b>" not in text
-        assert "<img src=x" not in text
-        assert "&lt;b>" in text or "&lt;b&gt;" in text
-    assert r"bold|\$\{x\}" in latex
+    html = page.read_text()
+    assert "<b>" not in html
+    assert "<img src=x" not in html
+    assert "&lt;b&gt;" in html
     assert {path.parent for path in (files / "report").rglob("*")} == {files / "report"}
 
 

@@ -14,7 +14,7 @@ import viser
 from pydantic import BaseModel
 
 from gelgap.assets import list_presets
-from gelgap.assets.settings import Settings
+from gelgap.assets.settings import PresetSettings
 from gelgap.render import Illumination, Led, Sensor
 from gelgap.sim import Elastomer, load_indenter
 from gelgap.sim.shapes import AnyIndenter
@@ -125,7 +125,7 @@ class Controls:
         return knob
 
     def _preset(
-        self, gui: viser.GuiApi, field: str, kind: type[Settings], taken: Callable[[Any], Configuration]
+        self, gui: viser.GuiApi, field: str, kind: type[PresetSettings], taken: Callable[[Any], Configuration]
     ) -> Any:
         """Add a dropdown of the presets of a field; `taken` makes the configuration with the one that is chosen.
 

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import threading
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from gelgap.calibrate.pictures import ListedPress, read_press_list
 from gelgap.calibrate.press_folder import LIST, save_marks
 from gelgap.render.imaging import difference_picture
 from gelgap.view.page import start_server
-from gelgap.view.panels import sentence_html
+from gelgap.view.panels import sentence_html, set_value
 
 # The picture lies in the plane z = 0 of the scene, this wide, its difference to the reference to the right of it.
 _WIDTH, _GAP, _HANDLE = 10.0, 0.3, 1.2
@@ -21,6 +22,16 @@ _HELP = (
     "Drag the handle to where the ball touches; the circle lies **inside** the dent. Right: 128 + 2 × the difference "
     "to the picture without contact."
 )
+
+
+@dataclass(frozen=True)
+class _Mark:
+    """A press as it is listed, and its circle as it is now."""
+
+    press: ListedPress
+    center_px: tuple[float, float]
+    radius_px: float
+    used: bool = True
 
 
 class MarksPage:
@@ -40,18 +51,18 @@ class MarksPage:
         self._path, self._listed = path, read_press_list(path)
         if not self._listed.presses or self._listed.reference is None:
             raise ValueError(f"{path} must have reference and presses")
+        self._marks: dict[str, _Mark] = {}
         for number, press in enumerate(self._listed.presses, start=1):
             if press.picture is None or press.center_px is None or press.radius_px is None:
                 raise ValueError(
                     f"{path}: press {number} ({press.label}) must have picture, center_px and radius_px"
                 )
-        files = (self._listed.reference, *(press.picture for press in self._listed.presses))
+            if press.picture in self._marks:
+                raise ValueError(f"{path}: a picture is listed twice, and this page holds one circle of each")
+            self._marks[press.picture] = _Mark(press, press.center_px, press.radius_px)
+        files = (self._listed.reference, *self._marks)
         self._pictures = {file: read_image(folder / file) for file in files}
         self._reference = self._pictures[self._listed.reference]
-        self.presses: dict[str, ListedPress] = {press.picture: press for press in self._listed.presses}
-        if len(self.presses) < len(self._listed.presses):
-            raise ValueError(f"{path}: a picture is listed twice, and this page holds one circle of each")
-        self._left_out: set[str] = set()
         self._lock, self._closed, self._filling = threading.RLock(), threading.Event(), False
         self._server = start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
@@ -63,7 +74,7 @@ class MarksPage:
         self._unit = _WIDTH / width
         self._corner_px = np.array([width, height]) / 2 - 0.5
         gui.add_markdown(_HELP)
-        self.press = gui.add_dropdown("press", tuple(self.presses))
+        self.press = gui.add_dropdown("press", tuple(self._marks))
         self.x = gui.add_slider("centre x, px", -0.5 * width, 1.5 * width, 0.1, 0.0)
         self.y = gui.add_slider("centre y, px", -0.5 * height, 1.5 * height, 0.1, 0.0)
         self.radius = gui.add_slider("radius, px", 2.0, float(max(width, height)), 0.1, 2.0)
@@ -91,9 +102,11 @@ class MarksPage:
     def _show(self) -> None:
         """Turn all knobs to the chosen press."""
         with self._lock:
-            chosen, self._filling = self.presses[self.press.value], True
-            (self.x.value, self.y.value), self.radius.value = chosen.center_px, chosen.radius_px
-            self.used.value = chosen.picture not in self._left_out
+            mark = self._marks[self.press.value]
+            self._filling = True
+            self._set_centre(*mark.center_px)
+            set_value(self.radius, mark.radius_px)
+            set_value(self.used, mark.used)
             self._filling = False
             self._draw()
 
@@ -101,11 +114,13 @@ class MarksPage:
         """Move the mark to where the handle is."""
         with self._lock:
             self._filling = True
-            self.x.value, self.y.value = (
-                (self.handle.position[:2] / self._unit + self._corner_px).round(1).tolist()
-            )
+            self._set_centre(*(self.handle.position[:2] / self._unit + self._corner_px).round(1).tolist())
             self._filling = False
             self._take()
+
+    def _set_centre(self, x_px: float, y_px: float) -> None:
+        set_value(self.x, x_px)
+        set_value(self.y, y_px)
 
     def _take(self) -> None:
         """Take over what the knobs say."""
@@ -113,27 +128,34 @@ class MarksPage:
             if self._filling:
                 return
             name = self.press.value
-            moved = {"center_px": (self.x.value, self.y.value), "radius_px": self.radius.value}
-            self.presses[name] = self.presses[name].model_copy(update=moved)
-            (self._left_out.discard if self.used.value else self._left_out.add)(name)
+            self._marks[name] = replace(
+                self._marks[name],
+                center_px=(self.x.value, self.y.value),
+                radius_px=self.radius.value,
+                used=self.used.value,
+            )
             self._draw()
 
     def _draw(self) -> None:
         import cv2
 
-        press, picture = self.presses[self.press.value], self._pictures[self.press.value]
-        x, y, radius = (round(_SIXTEENTHS * value) for value in (*press.center_px, press.radius_px))
+        mark, picture = self._marks[self.press.value], self._pictures[self.press.value]
+        x, y, radius = (round(_SIXTEENTHS * value) for value in (*mark.center_px, mark.radius_px))
         shown = picture, difference_picture(picture, self._reference, _GAIN)
-        for image, own in zip(self._images, shown, strict=True):
-            image.image = cv2.circle(own.copy(), (x, y), radius, _CIRCLE, 1, cv2.LINE_AA, 4)
-        place = np.append(self._unit * (np.array(press.center_px) - self._corner_px), 0.0)
+        for image, pixels in zip(self._images, shown, strict=True):
+            image.image = cv2.circle(pixels.copy(), (x, y), radius, _CIRCLE, 1, cv2.LINE_AA, 4)
+        place = np.append(self._unit * (np.array(mark.center_px) - self._corner_px), 0.0)
         if not np.allclose(self.handle.position, place, atol=0.2 * self._unit):  # else it is being dragged
             self.handle.position = place
 
     def save_list(self) -> None:
         """Write list and sheet anew, without the presses that are not used."""
         with self._lock:
-            used = tuple(press for name, press in self.presses.items() if name not in self._left_out)
+            used = tuple(
+                mark.press.model_copy(update={"center_px": mark.center_px, "radius_px": mark.radius_px})
+                for mark in self._marks.values()
+                if mark.used
+            )
             save_marks(self._listed.model_copy(update={"presses": used}), self._path, self._pictures)
             said = f"saved {len(used)} presses, and {SHEET}; fit them: gelgap calibrate {self._path}"
             self._message.content = sentence_html(said, bad=False)

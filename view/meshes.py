@@ -7,14 +7,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from trimesh.parent import Geometry
 
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
 from gelgap.sim import MembraneState
-from gelgap.sim.library import LibraryPose
+from gelgap.sim.library import PoseState
 from gelgap.sim.objects import surface_mesh_mm
 from gelgap.sim.shapes import AnyIndenter
-from gelgap.sim.solved import SolvedPose
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
@@ -39,7 +39,7 @@ def membrane_mesh(
     height, width = picture.shape[:2]
     place = np.clip(camera.project_px(points, (width, height)) / (width, height), 0, 1)
     at_rest = camera.project_px(state.rest_mm[::every, ::every], (width, height)) / (width, height)
-    seen = ((at_rest > -_ROUNDING) & (at_rest < 1 + _ROUNDING)).all(axis=-1)
+    seen = np.all((at_rest > -_ROUNDING) & (at_rest < 1 + _ROUNDING), axis=-1)
     return _textured(points, np.stack([place[..., 0], 1 - place[..., 1]], axis=-1), seen, picture)
 
 
@@ -57,9 +57,7 @@ def coloured_mesh(
     return _textured(points, np.stack([u, v], axis=-1), np.ones((rows, columns), bool), texture)
 
 
-def indenter_centre_mm(
-    solved: LibraryPose | SolvedPose, point_mm: tuple[float, float], indenter: AnyIndenter
-) -> NDArray:
+def indenter_centre_mm(solved: PoseState, point_mm: tuple[float, float], indenter: AnyIndenter) -> NDArray:
     """Return where the origin (3,) of the indenter is, a sphere's centre."""
     return np.array([*point_mm, indenter.origin_height_mm]) + solved.indenter_mm
 
@@ -71,7 +69,7 @@ def indenter_mesh(indenter: AnyIndenter) -> trimesh.Trimesh:
 
 
 def mesh_bytes(
-    solved: LibraryPose | SolvedPose,
+    solved: PoseState,
     point_mm: tuple[float, float],
     indenter: AnyIndenter,
     camera: Camera,
@@ -82,17 +80,18 @@ def mesh_bytes(
     membrane = membrane_mesh(solved, camera, picture)
     body = indenter_mesh(indenter)
     body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
-    body.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
+    colours = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
+    body.visual = trimesh.visual.ColorVisuals(body, vertex_colors=colours)
     if suffix == ".glb":
-        both = trimesh.Scene({"membrane": membrane, "indenter": body})
-        return both.apply_transform(_GLTF_FROM_MM).export(None, file_type="glb")
-    membrane.visual = membrane.visual.to_color()
+        parts: dict[str, Geometry] = {"membrane": membrane, "indenter": body}
+        return trimesh.Scene(parts).apply_transform(_GLTF_FROM_MM).export(None, file_type="glb")
+    membrane.visual = _texture(membrane).to_color()
     return trimesh.util.concatenate([membrane, body]).export(None, file_type="ply")
 
 
 def save_mesh(
     path: str | Path,
-    solved: LibraryPose | SolvedPose,
+    solved: PoseState,
     point_mm: tuple[float, float],
     indenter: AnyIndenter,
     camera: Camera,
@@ -116,10 +115,18 @@ def save_mesh(
 def glb(mesh: trimesh.Trimesh) -> bytes:
     """Return one mesh as GLB in mm, as the page shows it."""
     shown = mesh.copy()
-    material = shown.visual.material
+    material = _texture(shown).material
     material.baseColorFactor = [*[round(255 * _SHADED_SHARE)] * 3, 255]
     material.emissiveTexture, material.emissiveFactor = material.baseColorTexture, [_SHINING_SHARE] * 3
     return trimesh.Scene(shown).export(None, file_type="glb", include_normals=True)
+
+
+def _texture(membrane: trimesh.Trimesh) -> trimesh.visual.TextureVisuals:
+    """Return what `_textured` has given a membrane."""
+    visual = membrane.visual
+    if not isinstance(visual, trimesh.visual.TextureVisuals):
+        raise TypeError("a mesh without a texture")
+    return visual
 
 
 def _textured(

@@ -16,7 +16,7 @@ from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d
-from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
+from gelgap.view.solver import Answer, Failed, Progress, SolvedAlone, SolvedLibrary, Solver
 from gelgap.view.state import Configuration, LibraryRequest, LiveModel, Shown
 
 _PICTURES_WIDTH_PX = 360
@@ -131,7 +131,7 @@ class Page:
             self._readout.say("solving this gel …")
             self._solver.request(request)
         shown = self.shown = self._model.show(configuration)
-        reference = self._model.pictures.reference(configuration.light, configuration.markers)
+        reference = self._model.pictures.reference(configuration.lit, configuration.markers)
         colours = self._scene.show(shown, self.controls.colouring.value, self.controls.chosen_led)
         self._readout.show(shown, difference_picture(shown.picture, reference, 2.0), colours)
         self._narrow.content = narrow_html(shown, colours)
@@ -151,14 +151,18 @@ class Page:
                 self._readout.show_progress(1, 1)
                 self._readout.say(f"the solve failed: {reason}", bad=True)
                 self._failed = request if isinstance(request, LibraryRequest) else None
-            case Solved(request=request, result=result):
-                self._readout.show_progress(1, 1)
-                self._readout.say("")
-                if isinstance(request, LibraryRequest):
-                    self._model.add_library(request, result)
-                else:
-                    self._model.add_pose(request, result)
-                self._want(self._wanted or self.controls.wanted)
+            case SolvedLibrary(request=request, result=library):
+                self._model.add_library(request, library)
+                self._show_solved()
+            case SolvedAlone(request=request, result=pose):
+                self._model.add_pose(request, pose)
+                self._show_solved()
+
+    def _show_solved(self) -> None:
+        """Show what is wanted anew, now that more of it is solved."""
+        self._readout.show_progress(1, 1)
+        self._readout.say("")
+        self._want(self._wanted or self.controls.wanted)
 
     def _keep_source(self) -> None:
         if self.shown is not None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from gelgap.assets import html_page
+from gelgap.assets.pages import html_page
 from gelgap.data.formats.pictures import encode_jpeg
 from gelgap.domains.gap import DomainGap, markers_gap
 from gelgap.domains.recipe import shown_markers
@@ -50,7 +50,12 @@ class Readout:
     def show_progress(self, done: int, total: int) -> None:
         """Show how much of a solve is done; nothing once it is all done."""
         self.progress.visible = done < total
-        self.progress.value = 100.0 * done / max(total, 1)
+        set_value(self.progress, 100.0 * done / max(total, 1))
+
+
+def set_value(knob: Any, value: Any) -> None:
+    """Turn a knob; to mypy the values of viser's are read-only."""
+    knob.value = value
 
 
 def sentence_html(sentence: str, bad: bool) -> str:
@@ -117,7 +122,7 @@ class ComparePanel:
 
 def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> DomainGap:
     """Return the gap between two configurations, as `domain_gap` has it for domains, without fields."""
-    seen = pictures.colour_gap(source.light, target.light)
+    seen = pictures.colour_gap(source.lit, target.lit)
     marked = markers_gap(*(shown_markers(own.sensor, own.markers) for own in (source, target)))
     ratio = target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa
     return DomainGap(ratio, seen.mean, seen.percentile_95, marked, fields=())

@@ -1,13 +1,12 @@
 """What the camera sees of a membrane, with all that does not change between two pictures kept; and colours of LEDs."""
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.render import Camera, Illumination, Led, MembraneRenderer, RgbSpectrum, Sensor, encode
-from gelgap.render.imaging import srgb_decode
+from gelgap.render.imaging import ColourGap, srgb_decode
 from gelgap.render.renderer import reference_gap
 from gelgap.sim import MembraneState
 from gelgap.sim.problem import QualityName
@@ -23,8 +22,8 @@ Picture = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 
 
-class Light(NamedTuple):
-    """What a renderer belongs to."""
+class LitSensor(NamedTuple):
+    """A sensor under one illumination, and how finely it is drawn: what a renderer belongs to."""
 
     sensor: Sensor
     illumination: Illumination
@@ -39,17 +38,24 @@ class PictureMaker:
     """
 
     def __init__(self) -> None:
-        self._renderers: dict[Light, MembraneRenderer] = {}
-        self.reference = lru_cache(_KEPT_REFERENCES)(
-            lambda light, markers: self.renderer(light).reference(markers)
-        )
-        """The picture of the undeformed membrane under a light, with markers or without, and without noise."""
-        self.colour_gap = lru_cache(_KEPT_REFERENCES)(
-            lambda one, other: reference_gap(self.renderer(one), self.renderer(other))
-        )
-        """The gap between the pictures of the undeformed membrane under two lights, without markers and noise."""
+        self._renderers: dict[LitSensor, MembraneRenderer] = {}
+        self._references: dict[tuple[LitSensor, bool], Picture] = {}
+        self._gaps: dict[tuple[LitSensor, LitSensor], ColourGap] = {}
 
-    def picture(self, light: Light, state: MembraneState, markers: bool, noise: bool) -> Picture:
+    def reference(self, lit: LitSensor, markers: bool) -> Picture:
+        """Return the picture of the undeformed membrane, with markers or without, and without noise."""
+        if (lit, markers) not in self._references:
+            keep(self._references, (lit, markers), self.renderer(lit).reference(markers), _KEPT_REFERENCES)
+        return self._references[lit, markers]
+
+    def colour_gap(self, one: LitSensor, other: LitSensor) -> ColourGap:
+        """Return the gap between two pictures of the undeformed membrane, without markers and noise."""
+        if (one, other) not in self._gaps:
+            gap = reference_gap(self.renderer(one), self.renderer(other))
+            keep(self._gaps, (one, other), gap, _KEPT_REFERENCES)
+        return self._gaps[one, other]
+
+    def picture(self, lit: LitSensor, state: MembraneState, markers: bool, noise: bool) -> Picture:
         """Return the picture (240, 320, 3) of a membrane.
 
         Raises
@@ -58,18 +64,18 @@ class PictureMaker:
             If the membrane is folded.
         """
         rng = np.random.default_rng(NOISE_SEED) if noise else None
-        return self.renderer(light).picture(state.x_mm, state.y_mm, state.displacement_mm, markers, rng)
+        return self.renderer(lit).picture(state.x_mm, state.y_mm, state.displacement_mm, markers, rng)
 
-    def renderer(self, light: Light) -> MembraneRenderer:
-        """Return the renderer of a light, made from one of another light on the same sensor if there is one."""
-        if light in self._renderers:
-            return self._renderers[light]
-        alike = [old for old in self._renderers if (old.sensor, old.quality) == (light.sensor, light.quality)]
+    def renderer(self, lit: LitSensor) -> MembraneRenderer:
+        """Return the renderer of a lit sensor, made from one of the same sensor in another light if there is one."""
+        if lit in self._renderers:
+            return self._renderers[lit]
+        alike = [old for old in self._renderers if (old.sensor, old.quality) == (lit.sensor, lit.quality)]
         if alike:
-            renderer = self._renderers[alike[-1]].relit(light.illumination)
+            renderer = self._renderers[alike[-1]].relit(lit.illumination)
         else:
-            renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality)
-        keep(self._renderers, light, renderer, _KEPT_RENDERERS)
+            renderer = MembraneRenderer(lit.sensor, lit.illumination, SIZE_PX, lit.quality)
+        keep(self._renderers, lit, renderer, _KEPT_RENDERERS)
         return renderer
 
 
@@ -84,7 +90,8 @@ def keep(kept: dict, key: object, value: object, most: int) -> None:
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
     """Return the linear camera RGB of a spectrum at drive 1 and exposure 1."""
     lone = Led(position_mm=(0.0, 0.0, -10.0), spectrum=spectrum)
-    return tuple((Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure).tolist())
+    red, green, blue = (Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure).tolist()
+    return red, green, blue
 
 
 def swatch(led: Led) -> Rgb:
@@ -93,12 +100,13 @@ def swatch(led: Led) -> Rgb:
         return _SWITCHED_OFF
     linear = np.maximum(colour_of_spectrum(led.spectrum, Camera()), 0)
     shown = np.maximum(linear / max(linear.max(), 1e-9), 0.02)
-    return tuple(int(value) for value in encode(shown[None, None].astype(np.float32))[0, 0])
+    red, green, blue = encode(shown[None, None].astype(np.float32))[0, 0].tolist()
+    return red, green, blue
 
 
 def recoloured(led: Led, picked: Rgb, camera: Camera) -> Led:
     """Return an LED of a picked colour that is as bright in its strongest channel as before."""
     linear = srgb_decode(np.array(picked) / 255)
     brightest = max(colour_of_spectrum(led.spectrum, camera))
-    scaled = linear / max(linear.max(), 1e-3) * brightest
-    return led.model_copy(update={"spectrum": RgbSpectrum(rgb=tuple(float(value) for value in scaled))})
+    red, green, blue = (linear / max(linear.max(), 1e-3) * brightest).tolist()
+    return led.model_copy(update={"spectrum": RgbSpectrum(rgb=(red, green, blue))})

@@ -17,9 +17,10 @@ from gelgap.view.state import Configuration, Shown
 
 Files = dict[str, bytes]
 FilesOf = Callable[[Shown], Files]
+Save = Callable[[viser.ClientHandle | None, FilesOf], None]
 
 
-def add_savers(gui: viser.GuiApi, save: Callable[[viser.ClientHandle | None, FilesOf], None]) -> None:
+def add_savers(gui: viser.GuiApi, save: Save) -> None:
     """Add buttons; `save` sends what a button's function makes of what is shown to the browser that asked for it."""
     parts: dict[str, FilesOf] = {
         "Elastomer": lambda shown: {"elastomer.toml": settings_toml(shown.configuration.elastomer)},
@@ -33,7 +34,11 @@ def add_savers(gui: viser.GuiApi, save: Callable[[viser.ClientHandle | None, Fil
     ):
         gui.add_markdown(heading)
         for label, files_of in savers.items():
-            gui.add_button(label).on_click(lambda event, files_of=files_of: save(event.client, files_of))
+            gui.add_button(label).on_click(partial(_clicked, save, files_of))
+
+
+def _clicked(save: Save, files_of: FilesOf, event: viser.GuiEvent) -> None:
+    save(event.client, files_of)
 
 
 def _mesh_files(suffix: str, shown: Shown) -> Files:

@@ -65,7 +65,7 @@ class Scene3d:
         membrane, meaning = _coloured(shown, colouring)
         self._swap_membrane(glb(membrane))
         centre = indenter_centre_mm(shown.solved, (pose.point_x_mm, pose.point_y_mm), indenter)
-        if indenter != self._body:
+        if self._indenter is None or indenter != self._body:
             mesh, self._body = indenter_mesh(indenter), indenter
             self._indenter = self._scene.add_mesh_simple(
                 "/indenter", mesh.vertices, mesh.faces, color=_INDENTER_COLOUR, opacity=0.3, side="double"

@@ -7,10 +7,11 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
 from gelgap.sim import PoseLibrary
 from gelgap.sim.plan import plan_visit
-from gelgap.sim.solved import SolvedPose
+from gelgap.sim.solved import NoContact, SolvedPose
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 Request = LibraryRequest | PoseRequest
@@ -26,11 +27,19 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Solved:
-    """The result of a request."""
+class SolvedLibrary:
+    """The library that was asked for."""
 
-    request: Request
-    result: PoseLibrary | SolvedPose
+    request: LibraryRequest
+    result: PoseLibrary
+
+
+@dataclass(frozen=True)
+class SolvedAlone:
+    """The pose that was asked for."""
+
+    request: PoseRequest
+    result: SolvedPose | NoContact
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class Failed:
     reason: str
 
 
-Answer = Progress | Solved | Failed
+Answer = Progress | SolvedLibrary | SolvedAlone | Failed
 
 
 class Solver:
@@ -53,7 +62,7 @@ class Solver:
     def __init__(self, on_answer: Callable[[Answer], None]) -> None:
         self._on_answer = on_answer
         self._lock = threading.Lock()
-        self._process: multiprocessing.Process | None = None
+        self._process: BaseProcess | None = None
         self._connection: Connection | None = None
         self._current: Request | None = None
         self._closed = False
@@ -64,7 +73,7 @@ class Solver:
             if self._closed or request == self._current:
                 return
             self._current = request
-            if self._process is None:
+            if self._process is None or self._connection is None:
                 context = multiprocessing.get_context("spawn")
                 self._connection, theirs = context.Pipe()
                 self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
@@ -144,8 +153,8 @@ def answer_to(request: Request, connection: Connection) -> Answer:
             solutions[solve.key] = solve.run(tell)
             before += solve.problem.load_steps
         if isinstance(request, LibraryRequest):
-            return Solved(request, request.plan.build(solutions))
-        return Solved(request, plan.state(0, next(iter(solutions.values()), None)))
+            return SolvedLibrary(request, request.plan.build(solutions))
+        return SolvedAlone(request, plan.state(0, solutions))
     except Superseded:
         raise
     except Exception as error:

@@ -5,18 +5,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 from scipy.ndimage import uniform_filter
 
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, Sphere, solve_pose
 from gelgap.sim.indenter import Floats, Symmetry
-from gelgap.sim.library import LibraryPose
+from gelgap.sim.library import PoseState
 from gelgap.sim.problem import QualityName
 from gelgap.sim.scene import is_interior
 from gelgap.sim.shapes import AnyIndenter
-from gelgap.sim.solved import SolvedPose
-from gelgap.view.pictures import Light, Picture, PictureMaker, keep
+from gelgap.view.pictures import LitSensor, Picture, PictureMaker, keep
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6
 # One fewer than elsewhere: the page waits for it.
@@ -73,8 +73,8 @@ class Configuration:
         return PoseRequest(self.elastomer, self.indenter, self.pose, self.quality)
 
     @property
-    def light(self) -> Light:
-        return Light(self.sensor, self.illumination, self.quality)
+    def lit(self) -> LitSensor:
+        return LitSensor(self.sensor, self.illumination, self.quality)
 
     def library_keys(self) -> tuple[str, ...]:
         """Return the names of the solves that its library is made of; gels with the same ones share the library.
@@ -105,7 +105,7 @@ class Shown:
     """
 
     configuration: Configuration
-    solved: LibraryPose | SolvedPose
+    solved: PoseState
     picture: Picture
     source: str
     exact: bool
@@ -115,6 +115,15 @@ class Shown:
     def pressure_mpa(self) -> Floats:
         """The normal pressure (ny, nx), a mean of 5 × 5 points, half a millimetre: of single ones it is off by half."""
         return uniform_filter(self.solved.pressure_mpa, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What was shown last, and what its membrane and its picture depend on."""
+
+    shown: Shown
+    membrane: tuple[Any, ...]
+    seen: tuple[Any, ...]
 
 
 class LiveModel:
@@ -127,9 +136,8 @@ class LiveModel:
         self.pictures = PictureMaker()
         self._libraries: dict[tuple[str, ...], PoseLibrary] = {}
         self._last_library: PoseLibrary | None = None
-        self._exact: dict[PoseRequest, SolvedPose] = {}
-        self._before: tuple[Shown | None, tuple | None, tuple | None] = None, None, None
-        """What was shown last, and what its membrane and its picture depend on."""
+        self._exact: dict[PoseRequest, PoseState] = {}
+        self._before: _Drawn | None = None
 
     def lacks(self, configuration: Configuration) -> LibraryRequest | None:
         """Return the library that has to be solved for a configuration; None if it is there."""
@@ -139,12 +147,12 @@ class LiveModel:
     def add_library(self, request: LibraryRequest, library: PoseLibrary) -> None:
         """Take in the library of a gel, and of all gels that share it."""
         keep(self._libraries, _library_keys(request), library, _KEPT_SOLUTIONS)
-        self._before = None, None, None
+        self._before = None
 
-    def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
+    def add_pose(self, request: PoseRequest, solved: PoseState) -> None:
         """Take in a pose that was solved by itself."""
         keep(self._exact, request, solved, _KEPT_SOLUTIONS)
-        self._before = None, None, None
+        self._before = None
 
     def show(self, configuration: Configuration) -> Shown:
         """Return what is seen; where its own library is not there yet, by the one of the gel before.
@@ -154,31 +162,32 @@ class LiveModel:
         ValueError
             If the library does not reach the pose, or its membrane is folded.
         """
-        before, membrane_before, seen_before = self._before
+        before = self._before
         stages_ms: dict[str, float] = {}
         request = configuration.exact_pose
         solved_itself = request if request in self._exact else None
         membrane = configuration.library_keys(), configuration.pose, configuration.indenter, solved_itself
-        seen = membrane, configuration.light, configuration.markers, configuration.noise
-        if membrane != membrane_before or configuration.elastomer != before.configuration.elastomer:
-            with _timed("force" if membrane == membrane_before else "membrane", stages_ms):
-                solved, source, exact = self._solved(configuration)
+        seen = membrane, configuration.lit, configuration.markers, configuration.noise
+        same_membrane = before is not None and before.membrane == membrane
+        if before and same_membrane and before.shown.configuration.elastomer == configuration.elastomer:
+            solved, source, exact = before.shown.solved, before.shown.source, before.shown.exact
         else:
-            solved, source, exact = before.solved, before.source, before.exact
-        if seen != seen_before:
+            with _timed("force" if same_membrane else "membrane", stages_ms):
+                solved, source, exact = self._solved(configuration)
+        if before and before.seen == seen:
+            picture = before.shown.picture
+        else:
             with _timed("light", stages_ms):
-                self.pictures.renderer(configuration.light)
+                self.pictures.renderer(configuration.lit)
             with _timed("picture", stages_ms):
                 picture = self.pictures.picture(
-                    configuration.light, solved, configuration.markers, configuration.noise
+                    configuration.lit, solved, configuration.markers, configuration.noise
                 )
-        else:
-            picture = before.picture
         shown = Shown(configuration, solved, picture, source, exact, stages_ms)
-        self._before = shown, membrane, seen
+        self._before = _Drawn(shown, membrane, seen)
         return shown
 
-    def _solved(self, configuration: Configuration) -> tuple[LibraryPose | SolvedPose, str, bool]:
+    def _solved(self, configuration: Configuration) -> tuple[PoseState, str, bool]:
         """Return the physics of a configuration, what to say about it, and whether this pose itself was solved."""
         request = configuration.exact_pose
         if request in self._exact:
@@ -200,7 +209,7 @@ class LiveModel:
         return self._last_library.pose(configuration.elastomer, configuration.pose), said, False
 
 
-def _flat(configuration: Configuration) -> SolvedPose:
+def _flat(configuration: Configuration) -> PoseState:
     return solve_pose(configuration.elastomer, configuration.indenter, Pose(depth_mm=0.0))
 
 

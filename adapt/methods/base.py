@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 from pydantic import Field
@@ -31,7 +31,7 @@ class MethodSettings(Settings):
 class Activations:
     """The network's output for a batch of B frames of one domain, and their known labels.
 
-    inputs (B, channels, h, w) before a method perturbed them; features (B, D) after the bottleneck's ReLU, prediction
+    inputs (B, channels, h, w); features (B, D) after the bottleneck's ReLU, prediction
     (B, k) in [0, 1], logits (B, C) where the method uses the classifier; force (B, k) in [0, 1] and contact_class (B,)
     only where labels may be used. k is 3, the axes of the force, unless a run has other labels; these take their place.
     """
@@ -150,10 +150,6 @@ class Method(nn.Module):
     def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network in another way; a method that has this is not trained."""
 
-    def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
-        """Return what the network is shown of the source's inputs, the target's (B, channels, h, w) beside them."""
-        return inputs
-
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""
         raise NotImplementedError(f"{type(self).__name__} has neither transfer_loss, loss nor adapt")
@@ -169,7 +165,8 @@ def loss_of(
     """Return a method's loss; a RuntimeError says what in its code fails, or what is no loss."""
     name = type(method).__name__
     try:
-        added = method.loss(source, target, step)
+        # One that does not compare features is given none of the target's.
+        added = method.loss(source, cast(Activations, target), step)
     except (FeatureCollapse, TrainingDiverged):
         raise
     except Exception as error:

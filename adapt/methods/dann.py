@@ -49,7 +49,8 @@ class DANN(Method):
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__(settings, feature_dim, n_classes, n_labels)
-        inputs, hidden = self.discriminator_inputs, settings.hidden
+        inputs = self.discriminator_inputs
+        hidden = settings.hidden
         # It gives a logit of "source" (B, 1). Both domains come as one batch, whose statistics standardise its input: a
         # batch normalisation of each by itself would remove the very shift that it should see.
         self.discriminator = nn.Sequential(

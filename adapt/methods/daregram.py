@@ -28,13 +28,15 @@ def daregram(
     the widest gap in both spectra.
     """
     a_s, a_t = _with_ones(source).double(), _with_ones(target).double()
-    k_s, k_t = a_s @ a_s.T, a_t @ a_t.T
+    k_s = a_s @ a_s.T
+    k_t = a_t @ a_t.T
     values_s, values_t = torch.linalg.eigvalsh(k_s).flip(0), torch.linalg.eigvalsh(k_t).flip(0)
     if rank is None:
         rank = _rank_in_gap(values_s.detach(), values_t.detach(), threshold)
     x_s, x_t = _InverseSquare.apply(k_s, rank) @ a_s, _InverseSquare.apply(k_t, rank) @ a_t
     inner = (x_s * (a_s @ a_t.T @ x_t)).sum(dim=0)
-    square_s, square_t = (x_s * (k_s @ x_s)).sum(dim=0), (x_t * (k_t @ x_t)).sum(dim=0)
+    square_s = (x_s * (k_s @ x_s)).sum(dim=0)
+    square_t = (x_t * (k_t @ x_t)).sum(dim=0)
     loss = angle * (1 - _cosine(inner, square_s, square_t)).abs().mean()
     return (loss + scale * _norm(values_s[:rank] - values_t[:rank]) / rank).to(source.dtype)
 
@@ -69,7 +71,8 @@ def _rank_in_gap(values_s: Tensor, values_t: Tensor, threshold: float) -> int:
 
 def _cosine(inner: Tensor, square_a: Tensor, square_b: Tensor) -> Tensor:
     """Cosines of columns: 1 where both are zero, 0 (with zero gradient) where one is."""
-    both_empty, product = (square_a <= 0) & (square_b <= 0), square_a * square_b
+    both_empty = (square_a <= 0) & (square_b <= 0)
+    product = square_a * square_b
     defined = product > 1e-40 * product.max()
     cosine = inner.where(defined, 0.0) / product.where(defined, torch.ones_like(product)).sqrt()
     return torch.where(both_empty, torch.ones_like(cosine), cosine)
@@ -93,7 +96,8 @@ class _InverseSquare(torch.autograd.Function):
     @staticmethod
     def forward(ctx, dual: Tensor, rank: int) -> Tensor:
         values, vectors = torch.linalg.eigh(dual)
-        values, vectors = values.flip(0), vectors.flip(1)
+        values = values.flip(0)
+        vectors = vectors.flip(1)
         ctx.save_for_backward(values, vectors)
         ctx.rank = rank
         return vectors[:, :rank] / values[:rank].square() @ vectors[:, :rank].T
@@ -102,7 +106,8 @@ class _InverseSquare(torch.autograd.Function):
     def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
         values, vectors = ctx.saved_tensors
         rank = ctx.rank
-        kept, dropped = values[:rank, None], values[None, rank:]
+        kept = values[:rank, None]
+        dropped = values[None, rank:]
         differences = torch.zeros_like(gradient)
         differences[:rank, :rank] = -(kept + kept.T) / (kept * kept.T).square()
         differences[:rank, rank:] = 1 / (kept.square() * (kept - dropped))
@@ -121,6 +126,8 @@ class DAREGRAM(Method):
             default=0.9, gt=0, lt=1, description="share of the spectrum that the pseudo-inverse keeps"
         )
 
+    settings: Settings
+
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        own = self.settings
-        return daregram(source.features, target.features, own.angle, own.scale, own.threshold)
+        weights = self.settings.angle, self.settings.scale
+        return daregram(source.features, target.features, *weights, self.settings.threshold)

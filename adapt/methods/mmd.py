@@ -71,10 +71,12 @@ def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:
     The biased V-statistic ([2], equation 5) is never negative; the unbiased U-statistic (equation 3) may be.
     """
     m = len(kernel) - n
-    k_ss, k_tt, k_st = kernel[:n, :n], kernel[n:, n:], kernel[:n, n:]
+    k_ss = kernel[:n, :n]
+    k_tt = kernel[n:, n:]
+    k_st = kernel[:n, n:]
     if unbiased:
-        own = (k_ss.sum() - k_ss.trace()) / (n * (n - 1)) + (k_tt.sum() - k_tt.trace()) / (m * (m - 1))
-        return own - 2 * k_st.mean()
+        within = (k_ss.sum() - k_ss.trace()) / (n * (n - 1)) + (k_tt.sum() - k_tt.trace()) / (m * (m - 1))
+        return within - 2 * k_st.mean()
     return k_ss.mean() + k_tt.mean() - 2 * k_st.mean()
 
 
@@ -102,6 +104,8 @@ class DAN(Method):
     class Settings(RobustSettings):
         unbiased: bool = Field(default=False, description="U-statistic (may be negative), not V-statistic")
 
+    settings: Settings
+
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return mk_mmd(source.features, target.features, self.settings.robust, self.settings.unbiased)
 
@@ -120,6 +124,7 @@ class JAN(Method):
     """Regression with joint MMD over the transfer feature and the predicted force."""
 
     Settings = RobustSettings
+    settings: RobustSettings
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         layers_s, layers_t = ((a.features, a.prediction) for a in (source, target))
@@ -147,9 +152,12 @@ def lmmd(
 
     The sum over classes is one matrix product, Σ_c w_ic w_jc, so that its cost hardly depends on C.
     """
-    source_weights, target_weights = source_weights.detach(), target_weights.detach()
-    weights_s, weights_t = source_weights[:, classes], target_weights[:, classes]
-    weights_s, weights_t = weights_s / weights_s.sum(dim=0), weights_t / weights_t.sum(dim=0)
+    source_weights = source_weights.detach()
+    target_weights = target_weights.detach()
+    weights_s = source_weights[:, classes]
+    weights_t = target_weights[:, classes]
+    weights_s = weights_s / weights_s.sum(dim=0)
+    weights_t = weights_t / weights_t.sum(dim=0)
     signed = torch.cat([weights_s, -weights_t])
     kernel = pooled_kernel(source, target, robust)
     return ((signed @ signed.T) * kernel).sum() / max(signed.shape[1], 1)
@@ -171,11 +179,13 @@ class DSAN(Method):
     """
 
     Settings = RobustSettings
+    settings: RobustSettings
     uses_classifier = True
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         if step.weight == 0:
             return None
+        assert target.logits is not None, "class logits come with uses_classifier"
         weights_s = functional.one_hot(source.contact_class, self.n_classes).float()
         weights_t = target.logits.detach().float().softmax(dim=1)
         classes = common_classes(weights_s, weights_t)

@@ -1,19 +1,16 @@
 """The known methods: their names, without torch, and their classes and settings.
 
-A new one is a class in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the
-entry points of installed packages, or as `module:Class` or `file.py:Class`.
+A new one is a class in this folder and a line in `METHODS`, or a class of one's own, named as `FILE.py:CLASS`.
 """
 
-from contextlib import suppress
-from functools import cache
 from importlib.metadata import entry_points
 from inspect import getsourcefile
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from gelgap.adapt.own_code import code_sha256, imported
-from gelgap.assets.names import unknown_name
+from gelgap.adapt.own_code import code_sha256, defined_in
+from gelgap.assets.names import left, unknown_name
 from gelgap.assets.toml_file import named_in_errors
 
 if TYPE_CHECKING:
@@ -30,70 +27,78 @@ METHODS = {
     "jan": "mmd:JAN",
     "dann": "dann:DANN",
     "cdan": "dann:CDAN",
-    "rsd": "rsd:RSD",
     "daregram": "daregram:DAREGRAM",
     "dsan": "mmd:DSAN",
     "uga": "uga:UGA",
-    "fourier-style": "fourier_style:FourierStyle",
     "supervised": "controls:Supervised",
 }
-EXTRA: "dict[str, type[Method]]" = {}
-"""Methods from outside that are loaded, by name."""
-_CODE: dict[str, str] = {}
-"""Hashes of the files of methods from outside, by name: results of changed code are not taken for the same."""
-ENTRY_POINTS = "gelgap.methods"
-"""The group in which a package declares its methods: a name, and `module:Class`."""
+LEFT = ("fourier-style", "rsd")
+"""Methods of former versions."""
+_FORM = "FILE.py:CLASS"
+LEFT_HOOK = "augment_source"
+# What a class says of itself is asked before it is made: whether it is given labels of the target, for one.
+_FIXED = ("uses_target", "compares_features", "uses_classifier", "uses_target_labels", "needs_stage_1")
 
 
-@cache
-def installed_methods() -> dict[str, str]:
-    """Return the methods that installed packages declare, `module:Class` by name."""
-    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
+class OwnMethod(NamedTuple):
+    """A method of the user's own, and the hash of the file that it was read from."""
+
+    kind: "type[Method]"
+    code: str
+
+
+OWN_METHODS: dict[str, OwnMethod] = {}
+"""Those that are loaded, by name."""
 
 
 def method_names() -> tuple[str, ...]:
     """Return the names of all methods."""
-    return tuple(dict.fromkeys((*METHODS, *EXTRA, *installed_methods())))
+    return (*METHODS, *OWN_METHODS)
 
 
-def register(name: str, method: "type[Method]") -> None:
-    """Make a method of another package known under a name; a change of its file makes new runs, not one of a notebook.
+def check_name(name: str) -> None:
+    """Check that a method is known or can be a class of one's own; this runs no code.
 
     Raises
     ------
     ValueError
-        If the name is taken.
+        If it is neither; the message lists the known ones, or says in which version it was.
     """
-    if name in method_names():
-        raise ValueError(f"method name {name!r} is taken")
-    with suppress(TypeError, OSError):  # in a notebook it has no file
-        _keep(name, method)
+    if ":" in name or name in method_names():
+        return
+    if name in LEFT:
+        raise ValueError(left("method", name))
+    if entry_points(group="gelgap.methods", name=name):
+        raise ValueError(left("method", name, f"name its file, {_FORM}"))
+    raise ValueError(unknown_name("method", name, (*method_names(), _FORM), "known methods"))
 
 
 def use_method(name: str) -> str:
-    """Return the name of a method that may also stand as `module:Class` or `file.py:Class`; such a class is registered.
+    """Return the name of a method that may also stand as `FILE.py:CLASS`; then its file is run.
 
-    Its name for results is `module.Class`. This runs the code of that module.
+    Its name for results is `file.CLASS`.
 
     Raises
     ------
     ValueError
-        If there is no such method, or the module or class is not one.
+        If there is no such method, or the file or class is not one.
     """
     if ":" not in name:
         find_method(name)
         return name
-    method, (module_name, _, class_name) = _load(name), name.rpartition(":")
-    own = f"{Path(module_name.removesuffix('.py')).name}.{class_name}"
-    if own in METHODS or getsourcefile(EXTRA.get(own, method)) != getsourcefile(method):
-        raise ValueError(f"method {name!r}: the name {own} is taken by another method")
-    _keep(own, method)
-    return own
+    file, _, class_name = name.rpartition(":")
+    method = _load(name)
+    filed_as = f"{Path(file).stem}.{class_name}"
+    known = OWN_METHODS.get(filed_as)
+    if known is not None and getsourcefile(known.kind) != getsourcefile(method):
+        raise ValueError(f"method {name!r}: the name {filed_as} is taken by another method")
+    OWN_METHODS[filed_as] = OwnMethod(method, code_sha256(method))
+    return filed_as
 
 
 def method_code(name: str) -> str | None:
-    """Return a hash of the code of a method from outside; None for those of gelgap and of a notebook."""
-    return _CODE.get(name)
+    """Return a hash of the code of a method of the user's own; None for those of gelgap."""
+    return OWN_METHODS[name].code if name in OWN_METHODS else None
 
 
 def find_method(name: str) -> "type[Method]":
@@ -106,11 +111,10 @@ def find_method(name: str) -> "type[Method]":
     """
     if name in METHODS:
         return resolve_name(f"gelgap.adapt.methods.{METHODS[name]}")
-    if name not in method_names():
-        raise ValueError(unknown_name("method", name, (*method_names(), "FILE.py:CLASS"), "known methods"))
-    if name not in EXTRA:
-        _keep(name, _load(installed_methods()[name]))
-    return EXTRA[name]
+    if name not in OWN_METHODS:
+        check_name(name)
+        raise ValueError(f"method {name!r} is not loaded: `use_method` loads one of your own")
+    return OWN_METHODS[name].kind
 
 
 def method_settings(name: str, profile: "Profile") -> "MethodSettings":
@@ -127,35 +131,42 @@ def method_settings(name: str, profile: "Profile") -> "MethodSettings":
 
 
 def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3, seed: int = 0) -> "Method":
-    """Return a method with the profile's settings for it; what it owns as parameters is drawn by the seed."""
+    """Return a method with the profile's settings for it; what it owns as parameters is drawn by the seed.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or it says something else of itself than its class does.
+    """
     import torch
 
     kind = find_method(name)
     settings = method_settings(name, profile)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return kind(settings, profile.feature_dim, n_classes, n_labels)
-
-
-def _keep(name: str, method: "type[Method]") -> None:
-    EXTRA[name] = method
-    _CODE[name] = code_sha256(method)
+        method = kind(settings, profile.feature_dim, n_classes, n_labels)
+    if hasattr(kind, LEFT_HOOK):
+        raise ValueError(f"method {name}: {left('the function', LEFT_HOOK)}")
+    for what in _FIXED:
+        if getattr(method, what) != getattr(kind, what):
+            raise ValueError(f"method {name}: {what} must be an attribute of the class, not of an object")
+    return method
 
 
 def _load(place: str) -> "type[Method]":
-    """Return the class at `module:Class` or `file.py:Class`."""
+    """Return the class at `FILE.py:CLASS`."""
     from gelgap.adapt.methods.base import Method
 
-    module, class_name = imported(place, "method")
+    module, class_name = defined_in(place, "method", _FORM)
     methods = {
         name: kind
         for name, kind in vars(module).items()
         if isinstance(kind, type) and issubclass(kind, Method)
     }
     if class_name not in methods:
-        own = [name for name, kind in methods.items() if kind.__module__ == module.__name__]
+        defined = [name for name, kind in methods.items() if kind.__module__ == module.__name__]
         raise ValueError(
             f"method {place!r}: {class_name or 'nothing'} is not a class of {place.rpartition(':')[0]} that extends "
-            f"gelgap.adapt.Method; it has {', '.join(own) or 'none'}"
+            f"gelgap.adapt.Method; it has {', '.join(defined) or 'none'}"
         )
     return methods[class_name]

@@ -75,6 +75,8 @@ class UGA(Method):
             default=0.2, gt=0, description="width of C-Mixup's Gaussian on normalised forces"
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__(settings, feature_dim, n_classes, n_labels)
         self.evidence_head = nn.Linear(feature_dim, 3 * n_labels)

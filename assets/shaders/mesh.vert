@@ -1,9 +1,7 @@
 #version 330 core
 // The deformed membrane in the camera, with radial lens distortion; carries each vertex's rest coordinates in mm.
 layout(location = 0) in vec3 position;
-layout(location = TEXCOORD_0_LOC) in vec2 texcoord_0;
-layout(location = INST_M_LOC) in mat4 inst_m;
-uniform mat4 M;
+layout(location = 1) in vec2 texcoord_0;
 uniform mat4 V;
 uniform mat4 P;
 uniform vec2 radial_distortion;
@@ -11,8 +9,7 @@ uniform float farthest_slope;
 out vec2 rest_mm;
 
 void main() {
-    vec4 world = M * vec4(position, 1.0);
-    vec4 eye = V * world;
+    vec4 eye = V * vec4(position, 1.0);
     vec2 slope = eye.xy / eye.z;
     // Out of the picture the lens may fold: from its corner on, slopes are stretched alike.
     float r2 = min(dot(slope, slope), farthest_slope * farthest_slope);

@@ -1,29 +1,40 @@
-"""What changes of a target's light cost with and without levelling: python -m gelgap.benchmarks.adaptation.levelling.
+"""What changes of a target's light cost, with and without levelling.
 
-A network learns forces of the source. Each change is made to all pictures of the target, not to its reference; the
-network's normalisations are those of the changed training pictures (AdaBN), and its error is that on the changed test
-pictures. One row of JSON is written for each, from which the table is made.
+A network learns the forces of `wmb0i0`. Each change is made to all pictures of the target `wmb0i1`, not to its
+reference; normalisations are those of the changed training pictures (AdaBN), and the error is that of the changed test
+pictures. The folder has the domains of the adaptation benchmark: `source`, `target`, and `-touches` of both.
+
+    python -m gelgap.benchmarks.adaptation.levelling --data DIR --out levelling.jsonl
+    python -m gelgap.benchmarks.adaptation.levelling --table levelling.jsonl
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt.data import split_for_training
 from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.model import with_statistics_of
 from gelgap.adapt.profile import Profile
+from gelgap.adapt.result_table import ResultTable
+from gelgap.adapt.split import split_for_training
 from gelgap.adapt.trainer import train_source
 from gelgap.benchmarks.adaptation.study import begun_by_touches
+from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.data import LabelledFrames, open_domain
 from gelgap.data.frames.dataset import DerivedFrames
 
+SOURCE, TARGET = "wmb0i0", "wmb0i1"
+EPOCHS = 40
+"""Of stage 1."""
+SETTINGS: list[Setting] = [
+    {"input": shown, "levelled": levelled} for shown in ("touch", "pictures") for levelled in (False, True)
+]
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Pictures (n, h, w, 3) and their places in a clip, 0 to 1, (n, 1, 1, 1), to changed pictures, in codes."""
 CHANGES: dict[str, Change] = {
@@ -59,33 +70,18 @@ class Relit(DerivedFrames):
         return np.clip(np.rint(codes), 0, 255).astype(np.uint8)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("source", type=Path, nargs="?", help="a domain as the adaptation benchmark makes it")
-    parser.add_argument("target", type=Path, nargs="?", help="the same gel in another light")
-    parser.add_argument("--records", type=Path, default=Path("docs/results/levelling.jsonl"))
-    parser.add_argument("--epochs", type=int, default=100, help="of stage 1")
-    given = parser.parse_args()
-    if given.source is not None:
-        records = [
-            record
-            for shown in ("touch", "pictures")
-            for levelling in (False, True)
-            for record in measured(given.source, given.target, shown, levelling, given.epochs)
-        ]
-        given.records.write_text("".join(json.dumps(record) + "\n" for record in records), encoding="utf-8")
-    print(table(given.records))
-
-
-def measured(source: Path, target: Path, shown: str, levelling: bool, epochs: int) -> list[dict[str, object]]:
-    """Return a record of each change: mean error, N, and the core's time of training and of one frame."""
-    changes = {"input": shown, "levelling": levelling, "source_epochs": epochs, "split_by": "point"}
+def measured(data: Path, setting: Setting) -> Results:
+    """Return the mean error of each change, N, and the core's time of training and of one frame."""
+    shown = setting["input"]
+    changes = {"input": shown, "levelling": setting["levelled"], "source_epochs": EPOCHS, "split_by": "point"}
     if INPUTS[shown].from_touch:
-        changes["shift_px"] = 0
-        changes["marker_hiding"] = 0.0
-    profile = Profile.preset("board").replace(**changes)
-    # A touch joins the trajectories of its point after the split.
-    frames = split_for_training(open_domain(source), open_domain(target), profile.replace(input="pictures"), seed=0)
+        changes |= {"shift_px": 0, "marker_hiding": 0.0}
+    profile = Profile.preset("benchmark").replace(**changes)
+    source, target = data / "source" / SOURCE, data / "target" / TARGET
+    # A touch joins the trajectory of its point after the split.
+    frames = split_for_training(
+        open_domain(source), open_domain(target), profile.replace(input="pictures"), seed=0
+    )
     if INPUTS[shown].from_touch:
         touches = (
             open_domain(at.parent.with_name(f"{at.parent.name}-touches") / at.name) for at in (source, target)
@@ -93,42 +89,51 @@ def measured(source: Path, target: Path, shown: str, levelling: bool, epochs: in
         frames = begun_by_touches(frames, *touches)
     start = time.process_time()
     model = train_source(frames.source_train, profile)
-    trained_s = time.process_time() - start
-    records = []
+    training_s = time.process_time() - start
+    mae_n: dict[str, float] = {}
+    start = time.process_time()
     for name in CHANGES:
         seen, judged = Relit(frames.target_train, name), Relit(frames.target_test, name)
-        start = time.process_time()
-        errors = evaluate(with_statistics_of(model, seen), judged)
-        per_frame_s = (time.process_time() - start) / (len(seen) + len(judged))
-        records.append(
-            {
-                "input": shown,
-                "levelled": levelling,
-                "change": name,
-                "mean_mae_n": round(errors.mean_mae_n, 4),
-                "training_core_s": round(trained_s, 1),
-                "frame_core_ms": round(1e3 * per_frame_s, 2),
-            }
-        )
-        print(records[-1], flush=True)
-    return records
+        mae_n[name] = round(evaluate(with_statistics_of(model, seen), judged).mean_mae_n, 4)
+    per_frame_s = (time.process_time() - start) / len(CHANGES) / (len(seen) + len(judged))
+    return {
+        "mae_n": mae_n,
+        "training_core_s": round(training_s, 1),
+        "frame_core_ms": round(1e3 * per_frame_s, 2),
+    }
 
 
-def table(records: Path) -> str:
-    """Return the table of a file of records: errors in N, levelled or not, of each input under each change."""
-    rows = pd.DataFrame([json.loads(line) for line in records.read_text("utf-8").splitlines()])
-    rows["shown"] = rows["input"] + rows["levelled"].map({False: "", True: ", levelled"})
-    wide = rows.pivot(index="change", columns="shown", values="mean_mae_n").loc[list(CHANGES)]
-    cost = rows.groupby("shown")[["training_core_s", "frame_core_ms"]].mean().T
-    cost.index = ["training, s of a core", "a frame, ms of a core"]
-    columns = list(dict.fromkeys(rows["shown"]))
-    rows = pd.concat([wide, cost])[columns]
-    lines = [["", *columns], ["---"] * (1 + len(columns))]
-    lines += [
-        [what, *(f"{value:.3f}" for value in values)]
-        for what, values in zip(rows.index, rows.values, strict=True)
+def table(records: pd.DataFrame) -> ResultTable:
+    """Return the errors of each input, levelled or not, under each change, and what they cost."""
+    rows = records.rename(columns={f"mae_n.{name}": f"{name}, N" for name in CHANGES})
+    columns = [
+        shown + (", levelled" if levelled else "")
+        for shown, levelled in zip(rows["input"], rows["levelled"], strict=True)
     ]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    costs = {"training_core_s": "training, s of a core", "frame_core_ms": "a frame, ms of a core"}
+    rows = rows.rename(columns=costs)[[*(f"{name}, N" for name in CHANGES), *costs.values()]]
+    return ResultTable.of("Light that changes", rows.set_axis(columns).T.rename_axis("change of light"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of a file of records")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="the domains")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", default=Path("levelling.jsonl"), help="the records"
+    )
+    given = parser.parse_args()
+    if given.table is None and given.data is None:
+        parser.error("name --data, to measure, or --table")
+    if given.table is not None and not given.table.is_file():
+        parser.error(f"--table {given.table}: no such file")
+    if given.table is not None:
+        records = read_records(given.table)
+    else:
+        records = run_missing(partial(measured, given.data), SETTINGS, given.out, workers=1)
+    print(table(records).markdown())
 
 
 if __name__ == "__main__":

@@ -1,44 +1,52 @@
-"""One run of the board, and its record.
+"""One run of the adaptation benchmark and its record, and what its scripts share.
 
 A run is a setting: a method on a group of a data set with a seed. `adapt_run` trains it and returns the results for its
-record. A study is a grid of settings, a file of records, and tables that are queries on them: a `Part`.
+record. A script is a grid of settings (`measure`) and tables of the records (`tables`); `run_script` gives it a command
+line. All scripts keep their records in one file, so that none repeats a run of another.
 """
 
 import datetime
 import math
+import sys
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
+import tyro
 
 from gelgap.adapt import ForceModel, Profile, split_for_training
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method, method_code, use_method
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import METHODS_VERSION, Group, Stage1, versions
+from gelgap.adapt.split import SplitFrames
 from gelgap.assets.checksums import canonical_json, sha256
-from gelgap.assets.locks import key_lock
-from gelgap.benchmarks.adaptation import board
+from gelgap.assets.locks import counted_stops, key_lock
+from gelgap.benchmarks.adaptation import protocol
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.data import LabelledFrames, join_domains, open_domain
 from gelgap.data.frames.stored import GeneratedDomain
 from gelgap.domains import DomainRecipe, generate_recipes
+from gelgap.domains.measured_gap import recipe_of
 
-RUNS, BOARD = "runs.jsonl", "board"
-_CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
+RUNS, PROFILE = "runs.jsonl", "benchmark"
+OUT = Path("benchmark-results/adaptation") / PROFILE
+_BAD_INPUT, _INTERRUPTED = 2, 130
+_SHOWN = (*protocol.SHOWABLE, *protocol.DRAWN_LIGHTS)
+_CONTROLS = {"adabn": protocol.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
 _RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
 
 
 def grid(
-    cases: Iterable[tuple[str, board.Group]],
+    cases: Iterable[tuple[str, protocol.Group]],
     methods: Iterable[str],
     seeds: Iterable[int],
-    changes: board.Changes = board.BY_POINT,
+    changes: protocol.Changes = protocol.BY_POINT,
 ) -> list[Setting]:
     """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
 
@@ -62,12 +70,21 @@ def grid(
     ]
 
 
+def upper_bounds_of(runs: list[Setting]) -> list[Setting]:
+    """Return the upper bounds of the targets of runs: training on themselves, on the same input."""
+    targets = dict.fromkeys((run["target"], run["seed"], run["changes"]) for run in runs)
+    bounds: list[Setting] = []
+    for target, seed, changes in targets:
+        bounds += grid([(protocol.DATA, (target, target))], [protocol.PLAIN], [seed], changes)
+    return bounds
+
+
 @dataclass(frozen=True)
 class Study:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be places of one's own,
-    `module:Class` or `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run
+    Without `seeds`, `methods`, `groups` or `inputs` a script takes its own; methods may be classes of one's own,
+    `FILE.py:CLASS`. `workers` are processes, by default one per core; one means this process. No run
     is begun after `stop`, a time of `time.time`.
     """
 
@@ -78,7 +95,7 @@ class Study:
     workers: int | None = None
     stop: float = math.inf
     methods: tuple[str, ...] = ()
-    groups: tuple[board.Group, ...] = ()
+    groups: tuple[protocol.Group, ...] = ()
     inputs: tuple[str, ...] = ()
 
     @classmethod
@@ -90,7 +107,7 @@ class Study:
         """Return the chosen methods, each after its controls; one's own are known now, and read no target labels."""
         found: list[str] = []
         for method in map(use_method, self.methods):
-            if find_method(method).uses_target_labels and method != board.UPPER_BOUND:
+            if find_method(method).uses_target_labels and method != protocol.UPPER_BOUND:
                 raise ValueError(f"--methods {method}: it learns from the target's labels")
             own = [method]
             while control := control_of(own[0]):
@@ -108,25 +125,26 @@ class Study:
 
     def generate_for(self, runs: Iterable[Setting]) -> None:
         """Generate what is missing of the domains of runs; lights like a target's are drawn by its picture."""
-        by_role = [run for run in runs if run["data"] in board.BY_ROLE]
+        by_role = [run for run in runs if run["data"] in protocol.BY_ROLE]
         as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
-        drawn = [name for name in as_source if name.startswith(board.RANDOM_LIGHTS)]
-        recipes = board.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
-        self.generate(recipes, f"{board.DATA}-target")
+        drawn = [name for name in as_source if name.startswith(protocol.RANDOM_LIGHTS)]
+        recipes = protocol.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
+        self.generate(recipes, f"{protocol.DATA}-target")
         lone = [name for name in as_source if name not in drawn]
-        self.generate(board.role_recipes(lone, "source"), f"{board.DATA}-source")
+        self.generate(protocol.role_recipes(lone, "source"), f"{protocol.DATA}-source")
         for name in drawn:
-            target = name.removeprefix(board.LIKE) if name.startswith(board.LIKE) else None
-            pictured = target and _domain((self.data / f"{board.DATA}-target" / target).resolve())
-            self.generate(board.random_light_recipes(pictured), f"{board.DATA}-source")
+            target = name.removeprefix(protocol.LIKE) if name.startswith(protocol.LIKE) else None
+            pictured = target and _domain((self.data / f"{protocol.DATA}-target" / target).resolve())
+            self.generate(protocol.random_light_recipes(pictured), f"{protocol.DATA}-source")
         for contacts, folder in dict(pair for run in by_role for pair in self.touches_of(run)).items():
-            touches = contacts.recipe.model_copy(update={"path": board.touch_path(contacts.recipe.path)})
+            recipe = recipe_of(contacts)
+            touches = recipe.model_copy(update={"path": protocol.touch_path(recipe.path)})
             self.generate([touches], folder.parent.name)
 
     def run(
-        self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
+        self, runs: Iterable[Setting], function: "Callable[[Study, Setting], Results] | None" = None
     ) -> pd.DataFrame:
-        """Do the runs that have no record in a file of the study; return the records of all that are finished.
+        """Do the runs that have no record yet, by `adapt_run` or another function; return the records of the finished.
 
         Raises
         ------
@@ -134,9 +152,9 @@ class Study:
             If a record is of another profile, configuration or settings than the same run has now.
         """
         return run_missing(
-            partial(_run, function, self),
+            partial(_run, function or adapt_run, self),
             runs,
-            self.out / file,
+            self.out / RUNS,
             workers=self.workers,
             fixed=self.stated_of,
             describe=self.describe,
@@ -157,9 +175,9 @@ class Study:
     def domains_of(self, run: Setting) -> list[GeneratedDomain]:
         """Return the source of a run, or its several domains in random light, and last the target."""
         folder, source, target = (self.data / run["data"]).resolve(), run["source"], run["target"]
-        if run["data"] not in board.BY_ROLE:
+        if run["data"] not in protocol.BY_ROLE:
             return [_domain(folder / name) for name in (source, target)]
-        as_source, as_target = (folder.with_name(f"{board.DATA}-{role}") for role in board.ROLES)
+        as_source, as_target = (folder.with_name(f"{protocol.DATA}-{role}") for role in protocol.ROLES)
         if source == target:  # for the upper bound it is trained on its own contact points
             return [_domain(as_target / target)] * 2
         own = [as_source / source]
@@ -175,9 +193,10 @@ class Study:
 
     def frames_of(self, run: Setting) -> SplitFrames:
         """Return the frames of a run, divided for training and judging: the same contacts, whatever is shown."""
-        *sources, target = self.domains_of(run)
-        if run["data"] == board.LABEL_SHIFT:
-            target = board.with_shifted_labels(target)
+        *sources, stored = self.domains_of(run)
+        target: LabelledFrames = stored
+        if run["data"] == protocol.LABEL_SHIFT:
+            target = protocol.with_shifted_labels(stored)
         source = sources[0] if len(sources) == 1 else join_domains(sources)
         return split_for_training(source, target, self.profile_of(run).replace(input="pictures"), run["seed"])
 
@@ -185,7 +204,7 @@ class Study:
         """Return what the record of a run states of its profile, its method and its data."""
         profile, method = self.profile_of(run), run["method"]
         domains = [*self.domains_of(run), *(_domain(folder) for _, folder in self.touches_of(run))]
-        data = [(domain.recipe.key, domain.digest) for domain in domains]
+        data = [(recipe_of(domain).key, domain.digest) for domain in domains]
         return {
             "profile": self.profile,
             "configuration": configuration_of(profile, *data),
@@ -217,7 +236,10 @@ def configuration_of(profile: Profile, *data: Any) -> str:
 
 @cache
 def _domain(folder: Path) -> GeneratedDomain:
-    return open_domain(folder)
+    domain = open_domain(folder)
+    if not isinstance(domain, GeneratedDomain):
+        raise ValueError(f"{folder} is no domain that gelgap generated")
+    return domain
 
 
 def begun_by_touches(frames: SplitFrames, source: LabelledFrames, target: LabelledFrames) -> SplitFrames:
@@ -312,33 +334,88 @@ def short(values: Mapping[str, float] | Iterable[float]) -> Any:
 
 
 def load_runs(file: Path) -> pd.DataFrame:
-    """Return the records of a file of runs; see `with_errors`."""
-    return with_errors(read_records(file))
+    """Return the records of a file of runs, with what each shows (`protocol.shown_in`) and errors (`with_errors`)."""
+    records = with_errors(read_records(file))
+    pairs = zip(records["source"], records["changes"], strict=True)
+    return records.assign(shown=[protocol.shown_in(source, changes) for source, changes in pairs])
 
 
 def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     """Return records with their group ("mb0i0 → wmb1i1"), MAE (N) and R² by axis, and the mean MAE over the axes, N."""
     if records.empty:
         records = pd.DataFrame(columns=[*_RUN, "problem", "alarm", "mae_n", "r2"])
-    of_axes = {f"MAE {axis}, N": records["mae_n"].str[i] for i, axis in enumerate(board.AXES)}
-    of_axes |= {f"R² {axis}": records["r2"].str[i] for i, axis in enumerate(board.AXES)}
+    of_axes = {f"MAE {axis}, N": records["mae_n"].str[i] for i, axis in enumerate(protocol.AXES)}
+    of_axes |= {f"R² {axis}": records["r2"].str[i] for i, axis in enumerate(protocol.AXES)}
     group = records["source"] + " → " + records["target"]
     shear = records["mae_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
     return records.assign(group=group, error_n=records["mae_n"].map(np.mean), shear_n=shear, **of_axes)
 
 
 @dataclass(frozen=True)
-class Part:
-    """One part of the benchmark: `measure` does what is missing; `tables` show a folder's records.
+class Choices:
+    """What a script of the benchmark takes from the command line."""
 
-    `chosen` names the fields of a study by which a user can narrow what is measured.
+    seeds: tuple[int, ...] = ()
+    """By default the script's own."""
+    methods: tuple[str, ...] = ()
+    """Names, or your own as module:Class or file.py:Class, each with its controls; by default the script's own."""
+    groups: tuple[Literal[*protocol.KNOWN_GROUPS], ...] = ()  # type: ignore[valid-type]  # tyro reads them when it runs
+    """SOURCE:TARGET; by default the script's own."""
+    inputs: tuple[Literal[*_SHOWN], ...] = ()  # type: ignore[valid-type]  # tyro reads them when it runs
+    """What networks are shown, or the random lights of their source. For `touch` a straight touch of each point comes
+    first, which is not judged."""
+    workers: int | None = None
+    """Processes; by default one per core."""
+    minutes: float = math.inf
+    """Begin no run after this time; the next call goes on."""
+    out: Path = OUT
+    """Folder of the records, named after the profile; its data lie beside it."""
+    table: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Print the tables of a file of records in Markdown, and measure nothing."""
+
+    def study(self) -> Study:
+        """Return the study that was chosen."""
+        groups = tuple(protocol.KNOWN_GROUPS[group] for group in self.groups)
+        chosen = {"seeds": self.seeds, "methods": self.methods, "groups": groups, "inputs": self.inputs}
+        return Study.at(self.out, workers=self.workers, stop=time.time() + 60 * self.minutes, **chosen)
+
+
+def run_script(
+    name: str,
+    description: str | None,
+    measure: Callable[[Study], None],
+    tables: Callable[[pd.DataFrame], list[ResultTable]],
+    takes: Sequence[str] = ("seeds", "methods", "groups"),
+) -> None:
+    """Do what the command line asks of a script; bad input and Ctrl-C end with one sentence.
+
+    `takes` names the choices by which a user can narrow what is measured.
     """
-
-    measure: Callable[[Study], None]
-    tables: Callable[[Path], list[ResultTable]]
-    chosen: tuple[str, ...] = ("seeds", "methods", "groups")
-
-
-def is_benchmark(folder: Path) -> bool:
-    """Return whether a folder holds the records of the benchmark."""
-    return (folder / RUNS).is_file()
+    with counted_stops() as stops:
+        try:
+            choices = tyro.cli(
+                Choices, prog=f"python -m gelgap.benchmarks.adaptation.{name}", description=description
+            )
+            if choices.table is not None:
+                if not choices.table.is_file():
+                    raise ValueError(f"--table {choices.table}: no such file")
+                print("\n".join(table.markdown() for table in tables(load_runs(choices.table))))
+                return
+            for other in {"seeds", "methods", "groups", "inputs"} - set(takes):
+                if getattr(choices, other):
+                    raise ValueError(
+                        f"--{other} does not narrow this script; it takes --{', --'.join(takes)}"
+                    )
+            study = choices.study()
+            measure(study)
+            for table in tables(load_runs(study.out / RUNS)):
+                table.show()
+        except (KeyboardInterrupt, Exception) as error:
+            if stops:  # some libraries turn Ctrl-C into an error of their own
+                text = "interrupted; finished runs are kept, run the same command again to go on"
+                print(text, file=sys.stderr)
+                sys.exit(_INTERRUPTED)
+            if not isinstance(error, ValueError):
+                raise
+            print(" ".join(str(error).split()), file=sys.stderr)
+            sys.exit(_BAD_INPUT)

@@ -1,19 +1,20 @@
 """`gelgap benchmark physics`: forces and surfaces against independent finite elements, and what they cost.
 
-Every case is a row of one table of errors, of which each study prints columns: `run` spheres, `run_shapes` other
-indenters. Processor seconds of single-threaded processes are the run time, since wall time depends on what else the
-machine does.
+Every case is a record, of which each study's table has columns: `run` measures spheres, `run_shapes` other indenters,
+and `python -m gelgap.benchmarks.physics.accuracy --table FILE` prints the tables of a file of records again. Processor
+seconds of single-threaded processes are the run time, since wall time depends on what else the machine does.
 """
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import rms, show, write_json
+from gelgap.adapt.result_table import ResultTable
+from gelgap.benchmarks.common import print_tables, read_records, rms, write_records
 from gelgap.benchmarks.physics.cases import Case
 from gelgap.benchmarks.physics.errors import SURFACE, combined, measured
 from gelgap.benchmarks.physics.references import (
@@ -63,27 +64,29 @@ TABLES = (  # study, title, columns, note
     ("solids", "A short box, pressed, and a cylinder, pressed and dragged", ACROSS, SHAPE_NOTE),
     ("surfaces", "A torus and a ring-shaped punch by their surface", SHAPE, SHAPE_NOTE),
 )
+SETTINGS = ("study", "case", "quality", "reference")
 FZ_TARGET = 2.0  # %, rms
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Run the benchmark, print its tables, and write `physics.json` and `physics-frontier.png` to `out_dir`.
+    """Run the benchmark, print its tables, and write `physics.jsonl` and `physics-frontier.png` to `out_dir`.
 
     The quick form is a press down to 0.4 mm and a drag; the full one adds all others whose solution is known. Until the
     end, what is solved is kept in `out_dir`/physics-solves: a benchmark that was stopped goes on from there.
     """
     solves = out_dir / "physics-solves"
     results = measured(quick_cases() if quick else full_cases(), solves, paper_picture)
-    show_tables(results)
-    show_targets(results["presses"], results["drags"])
-    plot_frontier(out_dir / "physics-frontier.png", frontier(results["presses"]))
-    write_json(out_dir / "physics.json", results)
+    file, plot = out_dir / "physics.jsonl", out_dir / "physics-frontier.png"
+    write_records(file, results, SETTINGS)
+    for table in tables(read_records(file)):
+        table.show()
+    plot_frontier(plot, frontier(results[results["study"] == "presses"]))
     shutil.rmtree(solves, ignore_errors=True)
-    print(f"results in {out_dir / 'physics.json'}, plot in {out_dir / 'physics-frontier.png'}")
+    print(f"results in {file}, plot in {plot}")
 
 
 def run_shapes(quick: bool, out_dir: Path) -> None:
-    """Print errors and run time of other indenters, and write `shapes.json` to `out_dir`.
+    """Print errors and run time of other indenters, and write `shapes.jsonl` to `out_dir`.
 
     The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
     lying cylinder, a long box that is pressed and dragged across, a short box and a dragged cylinder in space, and two
@@ -95,11 +98,12 @@ def run_shapes(quick: bool, out_dir: Path) -> None:
         *round_bodies, _ = shape_cases()
         shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]
         cases = [replace(case, quality="draft") for case in shallow]
-    results = measured(cases, solves)
-    show_tables(results)
-    write_json(out_dir / "shapes.json", results)
+    file = out_dir / "shapes.jsonl"
+    write_records(file, measured(cases, solves), SETTINGS)
+    for table in tables(read_records(file)):
+        table.show()
     shutil.rmtree(solves, ignore_errors=True)
-    print(f"results in {out_dir / 'shapes.json'}")
+    print(f"results in {file}")
 
 
 def quick_cases() -> list[Case]:
@@ -127,15 +131,25 @@ def at_both(cases: Iterable[Case]) -> list[Case]:
     return [replace(case, quality=quality) for quality in ("draft", "standard") for case in cases]
 
 
-def show_tables(results: Mapping[str, pd.DataFrame]) -> None:
-    """Print the tables of the studies that were measured."""
+def tables(records: pd.DataFrame) -> list[ResultTable]:
+    """Return the tables of the studies that were measured, and what `standard` promises beside what it has."""
+    found = []
     for study, title, columns, note in TABLES:
-        if study in results:
-            show(title, results[study].reindex(columns=list(columns)), note)
+        own = records[records["study"] == study]
+        if len(own):
+            found.append(
+                ResultTable.of(
+                    title, own[[name for name in columns if name in own]].reset_index(drop=True), note
+                )
+            )
+    studies = set(records["study"])
+    if {"presses", "drags"} <= studies and "standard" in set(records["quality"]):
+        found.append(targets(records[records["study"] == "presses"], records[records["study"] == "drags"]))
+    return found
 
 
-def show_targets(presses: pd.DataFrame, drags: pd.DataFrame) -> None:
-    """Print the accuracy that `standard` promises for the isochoric gel beside what was measured."""
+def targets(presses: pd.DataFrame, drags: pd.DataFrame) -> ResultTable:
+    """Return the accuracy that `standard` promises for the isochoric gel beside what was measured."""
     found = presses[(presses["quality"] == "standard") & presses["case"].str.startswith("nh")]
     drags = drags[drags["quality"] == max(drags["quality"])]  # "standard" if it is there
     fz = np.concatenate(found["fz_percent"].to_list())
@@ -152,7 +166,8 @@ def show_targets(presses: pd.DataFrame, drags: pd.DataFrame) -> None:
     rows = [(name, value, f"≤ {limit:g}", value <= limit) for name, value, limit in limits]
     rows.append(("picture PSNR, dB", psnr, "≥ 40", psnr >= 40))
     table = pd.DataFrame(rows, columns=["quantity", "measured", "target", "met"])
-    show(f"Targets at standard over {len(found)} cases", table, f"Fx: drags at {drags['quality'].iloc[0]}")
+    note = f"Fx: drags at {drags['quality'].iloc[0]}"
+    return ResultTable.of(f"Targets at standard over {len(found)} cases", table, note)
 
 
 def frontier(presses: pd.DataFrame) -> pd.DataFrame:
@@ -182,3 +197,7 @@ def plot_frontier(path: Path, points: pd.DataFrame) -> None:
     figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    print_tables(__doc__, tables)

@@ -23,7 +23,7 @@ from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 from gelgap.sim.plan import Solve, SolvePlan, plan_visit
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
-from gelgap.sim.solved import SolvedPose
+from gelgap.sim.solved import NoContact, SolvedPose
 
 Floats = NDArray[np.float64]
 SLOWEST_FIRST = ("fine", "standard", "draft")
@@ -88,15 +88,29 @@ class Case:
     def solve(self) -> Solve:
         return self.plan.solves[0]
 
+    @property
+    def known(self) -> Truth:
+        """The true solution.
+
+        Raises
+        ------
+        ValueError
+            If none is known.
+        """
+        if self.truth is None:
+            raise ValueError(f"{self.name} has no known solution")
+        return self.truth
+
     def down_to(self, depth_mm: float) -> "Case":
         """Return the part of a press that is no deeper."""
         count = sum(pose.depth_mm <= depth_mm for pose in self.poses)
-        kept = {name: getattr(self.truth, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
-        return replace(self, poses=self.poses[:count], truth=replace(self.truth, **kept))
+        kept = {name: getattr(self.known, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
+        return replace(self, poses=self.poses[:count], truth=replace(self.known, **kept))
 
-    def states(self, solution: Solution) -> tuple[SolvedPose, ...]:
+    def states(self, solution: Solution) -> tuple[SolvedPose | NoContact, ...]:
         """Return the membrane at each pose."""
-        return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
+        solutions = {self.solve.key: solution}
+        return tuple(self.plan.state(index, solutions) for index in range(len(self.poses)))
 
 
 def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:
@@ -117,8 +131,9 @@ def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:
     ]
     solves = {key_of(setting): case.solve for setting, case in zip(settings, ordered, strict=True)}
     found = run_missing(partial(_solved, solves), settings, folder / "solved.jsonl", tasks_per_worker=1)
-    found["solution"] = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
-    found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
+    solutions = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
+    states = [case.states(own) for case, own in zip(ordered, solutions, strict=True)]
+    found = found.assign(solution=solutions, states=states)
     return dict(zip(ordered, found.itertuples(), strict=True))
 
 

@@ -22,12 +22,11 @@ MIDDLE_MM = 1.0  # half of what counts as the middle of a long body
 SURFACE = ("u_z rms µm", "in-plane rms µm", "peak µm", "normals rms °", "worst °")
 
 
-def measured(cases: Sequence[Case], folder: Path, picture: Picture | None = None) -> dict[str, pd.DataFrame]:
-    """Solve cases and return the table of each study: a row of errors a case; of the presses' pictures, too."""
+def measured(cases: Sequence[Case], folder: Path, picture: Picture | None = None) -> pd.DataFrame:
+    """Solve cases and return a row of errors a case; of the presses' pictures, too."""
     solved = solved_cases(cases, folder)
     rows = [errors(case, solved[case], picture if case.study == "presses" else None) for case in cases]
-    studies = pd.DataFrame(rows).groupby("study", sort=False)
-    return {study: own.dropna(axis=1, how="all") for study, own in studies}
+    return pd.DataFrame(rows)
 
 
 def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str, Any]:

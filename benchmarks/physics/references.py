@@ -65,8 +65,8 @@ def shape_cases() -> tuple[Case, ...]:
     )
     *round_bodies, lying = cases.values()
     # The table has one side of the cylinder.
-    sides = tuple(np.hstack([[[-1], [-1], [1]] * own[:, :0:-1], own]) for own in lying.truth.profiles)
-    return *round_bodies, replace(lying, truth=replace(lying.truth, profiles=sides))
+    sides = tuple(np.hstack([[[-1], [-1], [1]] * own[:, :0:-1], own]) for own in lying.known.profiles)
+    return *round_bodies, replace(lying, truth=replace(lying.known, profiles=sides))
 
 
 def second_model(place: str) -> pd.DataFrame:
@@ -101,7 +101,7 @@ def body_of(row: Any) -> AnyIndenter:
 
 def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> dict[str, Case]:
     """Return the presses of a table by name, with the surfaces in files of assets/reference that are named alike."""
-    cases = {}
+    cases: dict[str, Case] = {}
     for name, own in rows.groupby("case", sort=False):
         first, place = own.iloc[0], asset_path("reference", *profiles.format(name).split("/"))
         surface = np.genfromtxt(place, delimiter=",", skip_header=1)
@@ -111,7 +111,7 @@ def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> d
         material = first[["young_modulus_mpa", "poisson_ratio", "thickness_mm", "strain_energy"]]
         elastomer = Elastomer(**material, **gel, friction=friction_of(first["contact"]))
         poses = tuple(map(Pose, own["depth_mm"]))
-        cases[name] = Case(study, name, elastomer, poses, indenter=first["body"], truth=truth)
+        cases[str(name)] = Case(study, str(name), elastomer, poses, indenter=first["body"], truth=truth)
     return cases
 
 

@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
+from gelgap.adapt.result_table import ResultTable
+from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.benchmarks.physics.cases import Case
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, load_indenter, solve_poses
 from gelgap.sim.cost import expected_core_s
@@ -238,11 +239,12 @@ def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> None:
             reason = "; ".join(filter(None, (one.status, one.detail, *one.violations)))
             print(f"python -m {MODULE} --only {one.scene} --quality {quality}  # {reason}", file=file)
     print(f"{len(failing)} scenes that did not converge or violate an invariant: {commands}")
-    summarise(verdicts, out_dir / f"stability-physics-{quality}.json")
+    for table in tables(verdicts):
+        table.show()
 
 
-def summarise(verdicts: pd.DataFrame, file: Path) -> None:
-    """Print and write by regime how many scenes converged, were flagged, failed and violated an invariant, and cost."""
+def tables(verdicts: pd.DataFrame) -> list[ResultTable]:
+    """Return by regime how many scenes converged, were flagged, failed and violated an invariant, and their cost."""
     by_regime = pd.concat([verdicts, verdicts.assign(regime="all")]).groupby("regime")
     counts = by_regime["status"].value_counts().unstack()
     regimes = [name for name in (PAPERS_REGIME, BEYOND, *SHAPES, "all") if name in counts.index]
@@ -255,25 +257,36 @@ def summarise(verdicts: pd.DataFrame, file: Path) -> None:
     forecast = (verdicts["expected_s"] / verdicts["core_s"]).quantile([0.0, 0.1, 0.5, 0.9, 1.0])
     minutes = verdicts["core_s"].sum() / 60
     targets = "targets: 99 % in the paper's regime, 90 % over all, no violation"
-    show(
-        "Stability of the physics",
-        table.rename_axis("scenes"),
-        f"{targets}; {minutes:.0f} core minutes in all",
-    )
-    show("Expected over real core seconds", forecast.rename("ratio").to_frame(), "aim: 0.67 to 1.5")
     kinds = Counter(found for own in verdicts["violations"] for found in own)
-    show("Violated invariants", pd.DataFrame(kinds.most_common(), columns=["invariant", "scenes"]))
-    write_json(
-        file, {"scenes": table.reset_index(names="scenes"), "violations": kinds, "core_minutes": minutes}
-    )
+    return [
+        ResultTable.of(
+            "Stability of the physics",
+            table.rename_axis("scenes"),
+            f"{targets}; {minutes:.0f} core minutes in all",
+        ),
+        ResultTable.of(
+            "Expected over real core seconds", forecast.rename("ratio").to_frame(), "aim: 0.67 to 1.5"
+        ),
+        ResultTable.of(
+            "Violated invariants", pd.DataFrame(kinds.most_common(), columns=["invariant", "scenes"])
+        ),
+    ]
 
 
 def main() -> None:
-    """Judge one scene, and print its verdict."""
+    """Judge one scene and print its verdict, or print the tables of a file of verdicts."""
     parser = argparse.ArgumentParser(description="Stress the physics by one scene.")
-    parser.add_argument("--only", type=int, required=True, help="number of the scene")
+    parser.add_argument("--only", type=int, help="number of the scene")
     parser.add_argument("--quality", default="standard")
+    parser.add_argument(
+        "--table", type=Path, metavar="FILE", help="print the tables of a file of records instead"
+    )
     chosen = parser.parse_args()
+    if chosen.table is not None:
+        print("\n".join(table.markdown() for table in tables(read_records(chosen.table))))
+        return
+    if chosen.only is None:
+        parser.error("name a scene by --only, or a file of records by --table")
     print(numbered_case(chosen.only, chosen.quality))
     print(json.dumps(judge(chosen.only, chosen.quality)))
 

@@ -2,7 +2,8 @@
 
 Errors are in linear light without a fitted gain (mean error) and in sRGB (PSNR, SSIM). Times are medians of processor
 time in one thread, from a displacement to the 8-bit picture. Processor time equals wall time on an idle core, and other
-jobs on the machine disturb it least.
+jobs on the machine disturb it least. `python -m gelgap.benchmarks.render.accuracy --table FILE` prints the tables of a
+file of records again.
 """
 
 import time
@@ -13,8 +14,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from gelgap.adapt.result_table import ResultTable
 from gelgap.assets.checksums import sha256
-from gelgap.benchmarks.common import Results, Setting, processor_s, run_missing, show, write_json
+from gelgap.benchmarks.common import (
+    Results,
+    Setting,
+    print_tables,
+    processor_s,
+    read_records,
+    run_missing,
+    write_records,
+)
 from gelgap.benchmarks.render.scenes import (
     ALL_SCENES,
     OWN_LIT_SENSORS,
@@ -38,40 +48,59 @@ SHADOWLESS = "no shadows"
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Measure errors and run times, print the tables and write JSON to `out_dir`.
+    """Measure errors and run times, print the tables and write `render.jsonl` to `out_dir`.
 
     `quick` compares with the stored path-traced pictures; otherwise all scenes are traced, and kept for a rerun.
     """
     stored = {scene: stored_reference(scene) for scene in STORED_SCENES}
     truth = stored if quick else path_traced(out_dir)
-    rows = [
-        {"scene": scene.name, "way": way} | picture_error(linear, reference)
+    errors = [
+        {"of": "errors", "scene": scene.name, "matt": scene.matt, "way": way}
+        | picture_error(linear, reference)
         for scene, reference in truth.items()
         for way, linear in rendered(scene, reference.shape[1::-1]).items()
     ]
-    errors = pd.DataFrame(rows)
-    note = "targets at standard: matt 44 dB, 0.98, 2 %; glossy 38 dB"
-    show("Error against the path tracer, linear light without a fitted gain", errors, note)
-    repeats = 3 if quick else 31
-    times = frame_times(repeats)
-    typical_ms, scene = times.set_index("ms per frame")["typical"], RenderScene("i0", 0.6)
-    renderer, dent = MembraneRenderer(scene.sensor(), scene.light()), scene.membrane()
-    ms = {name: typical_ms[f"320×240 {name} i0"] for name in QUALITIES}
-    ms[SHADOWLESS] = median_ms(lambda: imaging.encode(without_shadows(renderer, dent)), repeats)
-    matt = errors[errors["scene"].isin([scene.name for scene in truth if scene.matt])].groupby("way")
+    times = frame_times(3 if quick else 31)
+    file = out_dir / "render.jsonl"
+    write_records(file, pd.DataFrame([*errors, *times]), ("of", "scene", "way", "size", "light"))
+    for table in tables(read_records(file)):
+        table.show()
+    print(f"wrote {file}")
+
+
+def tables(records: pd.DataFrame) -> list[ResultTable]:
+    """Return errors scene by scene, times, and both together for matt scenes."""
+    errors = records[records["of"] == "errors"]
+    times = records[records["of"] == "times"]
+    matt = errors[errors["matt"] == True].groupby("way")  # noqa: E712 - NaN where a record is of times
+    small = times[(times["size"] == "320×240") & (times["light"] == "i0")].set_index("way")
     summary = pd.DataFrame(
         {
-            "ms per frame": ms,
+            "ms per frame": small["typical"],
             "PSNR dB median": matt["PSNR dB"].median(),
             "PSNR dB worst": matt["PSNR dB"].min(),
             "mean error %": matt["mean error %"].median(),
-        },
-        index=pd.Index(ms, name="way"),
-    )
-    show("Error against time, matt scenes, 320×240, i0's time", summary)
-    tables = {"errors": errors, "times": times, "summary": summary.reset_index()}
-    write_json(out_dir / "render.json", tables)
-    print(f"wrote {out_dir}/render.json")
+        }
+    ).reindex([*QUALITIES, SHADOWLESS])
+    return [
+        ResultTable.of(
+            "Error against the path tracer, linear light without a fitted gain",
+            errors[["scene", "way", "PSNR dB", "SSIM", "mean error %"]].reset_index(drop=True),
+            "targets at standard: matt 44 dB, 0.98, 2 %; glossy 38 dB",
+        ),
+        ResultTable.of(
+            "Processor time in one thread, medians, with markers: ms per frame",
+            times[["size", "way", "light", "typical", "worst", "with noise"]].reset_index(drop=True),
+            "targets at standard: 10 typical and 20 worst at 320×240, 20 and 40 at 640×480; typical: 0.6 mm, worst: "
+            "1.0 mm, dragged 0.54 mm, off centre",
+        ),
+        ResultTable.of(
+            f"Error against time, {errors['scene'].nunique()} scenes of which the matt ones count, 320×240, i0's time",
+            summary.rename_axis("way"),
+            "",
+            {"": "{:.1f}", "mean error %": "{:.2f}"},
+        ),
+    ]
 
 
 def path_traced(folder: Path) -> dict[RenderScene, np.ndarray]:
@@ -119,31 +148,33 @@ def picture_error(linear: np.ndarray, reference: np.ndarray) -> dict[str, float]
     }
 
 
-def frame_times(repeats: int) -> pd.DataFrame:
-    """Print the run times of a frame for every quality, paper light and sensor."""
+def frame_times(repeats: int) -> list[Results]:
+    """Return the run times of a frame for every quality, paper light and sensor, and without shadows."""
     typical, worst = sphere_dent(0.6), sphere_dent(1.0, (0.5, 0.2), (1.0, -0.5))
     sensor, lights = Sensor.preset("paper"), [Illumination.preset(name) for name in PAPER_LIGHTS]
     cases = [(quality, sensor, lights[0]) for quality in QUALITIES if quality != "standard"]
     cases += [("standard", sensor, light) for light in lights]
     cases += [("standard", own, own.illumination) for own in map(Sensor.preset, OWN_LIT_SENSORS)]
-    rows = []
+    rows: list[Results] = []
     for width, height in SIZES_PX:
         for quality, seen_through, light in cases:
             renderer = MembraneRenderer(seen_through, light, (width, height), quality)
             rows.append(
                 {
-                    "ms per frame": f"{width}×{height} {quality} {light.name}",
+                    "of": "times",
+                    "size": f"{width}×{height}",
+                    "way": quality,
+                    "light": light.name,
                     "typical": frame_ms(renderer, typical, repeats),
                     "worst": frame_ms(renderer, worst, repeats),
                     "with noise": frame_ms(renderer, typical, repeats, rng=np.random.default_rng(0)),
                 }
             )
-    note = (
-        "targets at standard: 10 typical and 20 worst at 320×240, 20 and 40 at 640×480; typical: 0.6 mm, worst: "
-        "1.0 mm, dragged 0.54 mm, off centre"
-    )
-    show("Processor time in one thread, medians, with markers", table := pd.DataFrame(rows), note)
-    return table
+    scene = RenderScene("i0", 0.6)
+    renderer, dent = MembraneRenderer(scene.sensor(), scene.light()), scene.membrane()
+    ms = median_ms(lambda: imaging.encode(without_shadows(renderer, dent)), repeats)
+    rows.append({"of": "times", "size": "320×240", "way": SHADOWLESS, "light": "i0", "typical": ms})
+    return rows
 
 
 def frame_ms(renderer: MembraneRenderer, membrane: Membrane, repeats: int, **options) -> float:
@@ -158,3 +189,7 @@ def frame_ms(renderer: MembraneRenderer, membrane: Membrane, repeats: int, **opt
 def median_ms(work: Callable[[], object], repeats: int) -> float:
     """Return the median processor time of some work, after one run to warm up."""
     return 1e3 * processor_s(work, repeats, time.thread_time)
+
+
+if __name__ == "__main__":
+    print_tables(__doc__, tables)

@@ -79,7 +79,10 @@ class RenderScene:
 
     def light(self) -> Illumination:
         if self.illumination == "own":
-            return Sensor.preset(self.sensor_name).illumination
+            own = Sensor.preset(self.sensor_name).illumination
+            if own is None:
+                raise ValueError(f"sensor {self.sensor_name} has no light of its own")
+            return own
         preset = Illumination.preset(self.illumination)
         if self.drawn is None:
             return preset

@@ -10,11 +10,10 @@ it instead.
 import logging
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -22,13 +21,21 @@ import pandas as pd
 from gelgap.assets.image_file import picture_files, read_image, visible_files
 from gelgap.assets.names import comma_list, is_plain_name
 from gelgap.data.formats.domain_folder import new_folder
-from gelgap.data.formats.pictures import encode_png, resized
+from gelgap.data.formats.lag import LagEstimate, estimated_lag, offset_of_clocks, pressed_signal
+from gelgap.data.formats.pictures import encode_png
+from gelgap.data.formats.recording_faults import (
+    PictureFaults,
+    ReducedPictures,
+    drift_of_light,
+    picture_faults,
+    runs,
+    stands_still,
+    unsettled_pictures,
+)
+from gelgap.data.formats.video import VIDEOS, picture_times_s, video_pictures
 from gelgap.data.frames.folders import IMAGES, picture_paths, tables_in
 from gelgap.data.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 from gelgap.data.frames.tables import GROUPS, known_columns
-
-if TYPE_CHECKING:
-    from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
@@ -36,10 +43,6 @@ CONTACT_N = 0.3
 TABLE = "frames.csv"
 COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "trajectory_id", "step", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
-_COUNTED = (".avi", ".mp4", ".mov")  # the others state no number of pictures, but how long they are
-_SOUND_S = 0.5
-"""The sound of a video may last so much longer than its pictures."""
 _LAYOUT = (
     "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
     "folder of pictures (press/) with a table picture, time_s in it"
@@ -47,7 +50,8 @@ _LAYOUT = (
 _LAGS = range(-15, 16)
 _REFERENCE_FRAMES = 5
 _FEWEST_FRAMES = 10
-_SIGNAL_PX = (80, 60)
+_LEAST_STEP = 0.01
+_LEAST_ALIGNED = 0.9
 _LONGEST_GAP = 3.5
 """A hole of a log is longer than this many of its usual periods: three, with some jitter."""
 _NUMBER = re.compile(r"[\s_-]*(t=)?\d+$")
@@ -71,13 +75,14 @@ class ConvertedClip:
     dropped: int
     written: int
     reference_rgb: tuple[float, float, float]
-    lag: int | None = None
+    lag: float | None = None
     correlation: float | None = None
     correlation_at_0: float | None = None
-    lag_range: tuple[int, int] | None = None
+    lag_range: tuple[float, float] | None = None
     lag_at_limit: bool = False
     begins_in_contact: bool = False
     in_holes: int = 0
+    left_out: int = 0
     notes: tuple[str, ...] = ()
 
 
@@ -177,6 +182,8 @@ class Clip:
         glitch.
     lags
         The lags in frames that are possible, 0 among them; positive where the labels trail the pictures.
+    are_apart
+        The clocks have no time in common, so that each counts from its first value.
     """
 
     name: str
@@ -185,24 +192,56 @@ class Clip:
     time_s: np.ndarray
     labels: pd.DataFrame
     lags: range = _LAGS
+    are_apart: bool = False
     notes: tuple[str, ...] = ()
 
     def selected(self, every: int, lag: int | None) -> Selection:
         """Find the lag, unless it is given, and the reference, and select pictures in contact and those before."""
         LOG.info("converting %s/%s", self.session, self.name)
         self._check_times()
-        found = LagEstimate(lag) if lag is not None else self._estimated_lag()
+        if lag is None and not self._have_common_time():
+            return replace(self, time_s=self.time_s - self.time_s[0], are_apart=True).selected(every, None)
+        read = ReducedPictures.read(self.pictures())
+        if len(read) != len(self.time_s):
+            raise ValueError(f"clip {self.name} has {len(read)} of {len(self.time_s)} pictures")
+        faults = picture_faults(read, _pressing_n(self.labels_at(lag or 0)))
+        if lag is None:
+            found = self._estimated_lag(read, faults.usable)
+        else:
+            self._check_common_time()
+            found = LagEstimate(lag)
         labels = self.labels_at(found.lag)
+        touching = np.flatnonzero(_pressing_n(labels) > CONTACT_N)
+        unsettled = unsettled_pictures(read.pictures[: touching[0] if len(touching) else len(read)])
+        faults.unlike[:unsettled] = True
+        shown = faults.usable & ~_seen_late(faults.in_doubt, labels)
+        notes = self._noted_faults(read, faults, labels, shown)
+        if found.best is not None and (self.are_apart or not self.lags[0] <= found.lag <= self.lags[-1]):
+            shift_s = found.lag * self._frame_s
+            clocks = (
+                "which have no time in common, each counted from its first value,"
+                if self.are_apart
+                else "as they are,"
+            )
+            notes.append(f"the clocks, {clocks} differ by {shift_s:.3f} s: aligned over the whole clip")
+        labels[~shown] = np.nan
         pressed_n, known = _pressing_n(labels), np.isfinite(labels).all(axis=1).to_numpy()
         if not known.any():
             raise ValueError(f"clip {self.name}: no picture has labels at a lag of {found.lag} frames")
         touches = pressed_n > CONTACT_N
         # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
         before = int(np.argmax(touches)) if touches.any() else len(touches)
-        n_at_rest = min(max(before - 1, 1), _REFERENCE_FRAMES)
-        reference = np.median(list(islice(self.pictures(), n_at_rest)), axis=0).round().astype(np.uint8)
         at_rest, in_contact = np.flatnonzero(known & ~touches), np.flatnonzero(known & touches)
-        chosen = np.union1d(at_rest[:n_at_rest], in_contact[::every])
+        before_contact = np.flatnonzero(shown[: max(before - 1, 1)])
+        quiet = next(own for own in (before_contact, at_rest, np.flatnonzero(shown)[:1]) if len(own))
+        quiet = quiet[:_REFERENCE_FRAMES]
+        of_rest = [
+            picture
+            for number, picture in enumerate(islice(self.pictures(), quiet[-1] + 1))
+            if number in quiet
+        ]
+        reference = np.median(of_rest, axis=0).round().astype(np.uint8)
+        chosen = np.union1d(at_rest[: len(quiet)], in_contact[::every])
         # What was pressed: the name without the number at its end, `golf_ball` of `golf_ball_2`.
         pressed = _NUMBER.sub("", self.name) or self.name
         table = labels.assign(clip=self.name, object=pressed, time_s=self.time_s).iloc[chosen]
@@ -219,14 +258,15 @@ class Clip:
             correlation=found.correlation,
             correlation_at_0=found.correlation_at_0,
             lag_range=found.range,
-            lag_at_limit=lag is None and found.lag != 0 and found.lag in (self.lags[0], self.lags[-1]),
+            lag_at_limit=found.lag != 0 and found.best in (self.lags[0], self.lags[-1]),
             begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
             in_holes=int(self._in_holes(found.lag).any(axis=1).sum()),
-            notes=self.notes,
+            left_out=int((~shown).sum()),
+            notes=(*self.notes, *notes),
         )
         return Selection(facts, reference, self.pictures, table)
 
-    def labels_at(self, lag: int) -> pd.DataFrame:
+    def labels_at(self, lag: float) -> pd.DataFrame:
         """Return the labels of each picture at a lag in frames, interpolated in time.
 
         NaN where there are none, in a hole, or where the nearest value is NaN or more than half a frame away.
@@ -245,10 +285,10 @@ class Clip:
     def _frame_s(self) -> float:
         return float(np.median(np.diff(self.time_s)))
 
-    def _shifted_s(self, lag: int) -> np.ndarray:
+    def _shifted_s(self, lag: float) -> np.ndarray:
         return self.time_s + lag * self._frame_s
 
-    def _in_holes(self, lag: int) -> pd.DataFrame:
+    def _in_holes(self, lag: float) -> pd.DataFrame:
         """Return for each picture and label whether the log has a hole there: values are missing for longer than usual.
 
         Longer than a picture too, as values that come in bunches leave such gaps; and further than half a usual period
@@ -266,97 +306,102 @@ class Clip:
         return pd.DataFrame(found)
 
     def _check_times(self) -> None:
-        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
+        n, m = len(self.time_s), len(self.labels)
         if min(n, m) < _FEWEST_FRAMES:
             raise ValueError(
                 f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
                 "needed"
             )
-        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
+
+    def _have_common_time(self) -> bool:
+        return self.time_s[0] <= self.labels.index[-1] and self.labels.index[0] <= self.time_s[-1]
+
+    def _check_common_time(self) -> None:
+        if self.are_apart or not self._have_common_time():
             raise ValueError(
-                f"clip {self.name}: its pictures begin {self.time_s[0] - measured_s[0]:.10g} s after its labels and "
-                "have no time in common; count both from the same moment (a video's first picture is at 0 s)"
+                f"clip {self.name}: its pictures and its labels have no time in common, and no alignment of the whole "
+                "clip fits; count both from the same moment (a video's first picture is at 0 s)"
             )
 
-    def _pressed_signal(self) -> np.ndarray:
-        """Return how far each picture (n,) has gone from rest towards the most pressed ones.
+    def _noted_faults(
+        self, read: ReducedPictures, faults: PictureFaults, labels: pd.DataFrame, shown: np.ndarray
+    ) -> list[str]:
+        """Return sentences on what is wrong with the pictures, each with numbers and times."""
+        told = []
+        for what, chosen in {
+            "repeat the one before, as of a camera that stalls: left out": ~faults.unlike & ~shown,
+            "are unlike the rest, in colours, light or view: left out": faults.unlike,
+        }.items():
+            if of_runs := [self._when(*run) for run in runs(chosen)]:
+                told.append(f"{chosen.sum()} pictures {what}: {comma_list(of_runs)}")
+        for number, share in [step for step in faults.light_steps if abs(step[1]) >= _LEAST_STEP]:
+            told.append(f"the light of the whole view steps by {share:+.1%} at {self._when(number, number)}")
+        at_rest = np.flatnonzero(shown & (_pressing_n(labels) <= CONTACT_N))
+        if len(at_rest) and (share := drift_of_light(read.pictures[at_rest])):
+            first, last = self.time_s[at_rest[0]], self.time_s[at_rest[-1]]
+            told.append(f"the light drifts by {share:+.0%} between rests at {first:.2f} and {last:.2f} s")
+        return told
 
-        That is its projection on their mean difference, in which the noise of pixels averages out; their mean absolute
-        difference begins at the noise, and is exactly 0 for the first picture alone.
-        """
-        reduced = [resized(picture, _SIGNAL_PX) for picture in self.pictures()]
-        if len(reduced) != len(self.time_s):
-            raise ValueError(f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times")
-        pictures = np.stack(reduced).reshape(len(reduced), -1).astype(np.float32)
-        change = np.abs(pictures - pictures[0]).mean(axis=1)
-        most = np.argsort(change)[-max(len(pictures) // 10, 1) :]
-        rest = pictures[:_REFERENCE_FRAMES].mean(axis=0)
-        return (pictures - rest) @ (pictures[most].mean(axis=0) - rest)
+    def _when(self, first: int, last: int) -> str:
+        if first == last:
+            return f"{first} ({self.time_s[first]:.2f} s)"
+        return f"{first}–{last} ({self.time_s[first]:.2f}–{self.time_s[last]:.2f} s)"
 
-    def _estimated_lag(self) -> "LagEstimate":
-        """Return the lag at which pictures and force correlate best, and the range of those that do as well.
+    def _estimated_lag(self, read: ReducedPictures, usable: np.ndarray) -> LagEstimate:
+        """Return the lag of this clip, also where the clocks have other zeros."""
+        signal = pressed_signal(read.pictures, usable)
 
-        Where force is a line in the signal plus noise, twice the log likelihood of a lag is −n log(1 − r²), and falls
-        by 4 at the ends of an interval of 95 %. Errors of neighbouring pictures go together, so n is divided by the sum
-        of their autocorrelation up to its first zero. Clocks alone give one lag while the signal rises and while it
-        falls; compressed video shows slow changes late and gives two, which the range includes.
-        """
-        signal = self._pressed_signal()
-        pressed_n = [_pressing_n(self.labels_at(lag)) for lag in self.lags]
-        is_rising = np.gradient(np.convolve(np.pad(signal, 2, "edge"), np.ones(5) / 5, "valid")) > 0
-        correlations = np.array([_correlation(signal, own) for own in pressed_n])
-        rising = np.array([_correlation(signal[is_rising], own[is_rising]) for own in pressed_n])
-        falling = np.array([_correlation(signal[~is_rising], own[~is_rising]) for own in pressed_n])
-        if np.isnan(correlations).all():
+        def pressed_n_at(lag: float) -> np.ndarray:
+            return _pressing_n(self.labels_at(lag))
+
+        found = estimated_lag(signal, usable, pressed_n_at, self.lags)
+        offset = self._offset_of_clocks(signal) if self.lags == _LAGS else None
+        if offset is not None and offset not in self.lags:
+            lags = range(offset + _LAGS[0], offset + _LAGS[-1] + 1)
+            aligned = estimated_lag(signal, usable, pressed_n_at, lags)
+            # Each lag has some part of a press to fit: the whole one must leave less than half of the rest.
+            if (
+                aligned
+                and aligned.correlation > _LEAST_ALIGNED
+                and (not found or 1 - aligned.correlation**2 < (1 - found.correlation**2) / 2)
+            ):
+                found = aligned
+        if self.are_apart and not (found and found.correlation > _LEAST_ALIGNED):
+            self._check_common_time()
+        if found is None:
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
                 "have labels; take it out of the folder"
             )
-        best = int(np.nanargmax(correlations))
-        unexplained = np.where(correlations > 0, 1 - correlations**2, 1.0)
-        independent = _independent_errors(signal, pressed_n[best])
-        fitting = np.flatnonzero(unexplained <= unexplained[best] * np.exp(4 / independent)).tolist()
-        fitting += [int(np.nanargmax(own)) for own in (rising, falling) if not np.isnan(own).all()]
-        return LagEstimate(
-            self.lags[best],
-            (self.lags[min(fitting)], self.lags[max(fitting)]),
-            correlations[best],
-            correlations[self.lags.index(0)],
+        return found
+
+    def _offset_of_clocks(self, signal: np.ndarray) -> int | None:
+        """Return the lag in frames at which the whole clip goes with the whole log; None if none or several do."""
+        measured_s, frame_s = self.labels.index.to_numpy(), self._frame_s
+        pressed_n = _pressing_n(self.labels)
+        known = np.isfinite(pressed_n)
+        if not known.any():
+            return None
+        seen = np.interp(np.arange(self.time_s[0], self.time_s[-1], frame_s), self.time_s, signal)
+        felt = np.interp(
+            np.arange(measured_s[0], measured_s[-1], frame_s), measured_s[known], pressed_n[known]
         )
+        offset = offset_of_clocks(seen, felt)
+        return None if offset is None else round(offset + (measured_s[0] - self.time_s[0]) / frame_s)
 
 
-@dataclass(frozen=True)
-class LagEstimate:
-    """A lag in frames; unless it was stated, the range of those that fit as well, and how signals correlate."""
+def _seen_late(in_doubt: np.ndarray, labels: pd.DataFrame) -> np.ndarray:
+    """Return which pictures (n,) that may repeat the one before do so while a force changes.
 
-    lag: int
-    range: tuple[int, int] | None = None
-    correlation: float | None = None
-    correlation_at_0: float | None = None
-
-
-def _correlation(signal: np.ndarray, pressed_n: np.ndarray) -> float:
-    """Return Pearson's correlation where both are known; NaN for too few, or if one does not change.
-
-    Rounding would decide the latter.
+    By more than 1 % of its range and six times its noise, as the differences of rows tell.
     """
-    known = np.isfinite(pressed_n)
-    signal, pressed_n = signal[known], pressed_n[known]
-    if len(pressed_n) < _FEWEST_FRAMES or np.ptp(signal) == 0 or np.ptp(pressed_n) == 0:
-        return float("nan")
-    return float(np.corrcoef(signal, pressed_n)[0, 1])
-
-
-def _independent_errors(signal: np.ndarray, pressed_n: np.ndarray) -> float:
-    """Return how many independent errors a line from the signal to the force has, one at least."""
-    known = np.isfinite(pressed_n)
-    line = np.polynomial.Polynomial.fit(signal[known], pressed_n[known], 1)
-    errors = pressed_n[known] - line(signal[known])
-    correlated = np.correlate(errors, errors, "full")[len(errors) - 1 :]
-    positive = correlated[: np.argmax(correlated <= 0) or None]
-    return (
-        max(len(errors) * correlated[0] / (2 * positive.sum() - correlated[0]), 1.0) if correlated[0] else 1.0
-    )
+    late, forces = np.zeros(len(in_doubt), bool), labels[[name for name in FORCE_COLUMNS if name in labels]]
+    noise_n = 1.48 * forces.diff().diff().abs().median() / 6**0.5
+    least = (forces.max() - forces.min()) / 100 + 6 * noise_n
+    for first, last in runs(in_doubt):
+        of_run = forces.iloc[max(first - 1, 0) : last + 1]
+        late[first : last + 1] = (of_run.max() - of_run.min() > least).any()
+    return late
 
 
 def _pressing_n(labels: pd.DataFrame) -> np.ndarray:
@@ -399,6 +444,15 @@ def _recorded_clip(table: Path) -> Clip:
     if repeated := int(labels.index.duplicated().sum()):
         labels = labels.groupby(level=0).mean()
         notes.append(f"{repeated} rows repeat the time of the row before: their mean is taken")
+    for name in [own for own in FORCE_COLUMNS if own in labels]:
+        stands = stands_still(labels[name].to_numpy())
+        time_s = labels.index - columns["time_s"][0]
+        for first, last in runs(stands):
+            notes.append(
+                f"{name} stands at {labels[name].iloc[first]:.4g} from {time_s[first]:.2f} to {time_s[last]:.2f} s of "
+                "the log, at its limit or not read: no labels there"
+            )
+        labels[name] = labels[name].mask(stands)
     sources = [
         path
         for path in visible_files(table.parent)
@@ -425,8 +479,7 @@ def _recorded_clip(table: Path) -> Clip:
                 f"{time_s[repeats[0]]:.10g} s: a camera takes one picture at a time"
             )
     else:
-        # 0 is OpenCV's CAP_PROP_POS_MSEC.
-        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        time_s = picture_times_s(source)
         pictures = partial(video_pictures, source)
         _check_order(time_s, source)
     # Tables are written with seven digits, which the seconds since 1970 need for themselves.
@@ -456,37 +509,6 @@ def _check_order(time_s: np.ndarray, place: Path) -> None:
             f"{place}: times must not fall, and in row {row + 2} below the header {time_s[row + 1]:.10g} s comes after "
             f"{time_s[row]:.10g} s"
         )
-
-
-def video_pictures(path: Path) -> Iterator[np.ndarray]:
-    """Yield the pictures (h, w, 3) uint8 RGB of a video; a ValueError if OpenCV's FFmpeg cannot read it."""
-    for video in _grabbed(path):
-        done, picture = video.retrieve()
-        if not done:
-            return
-        yield np.ascontiguousarray(picture[..., ::-1])
-
-
-def _grabbed(path: Path) -> "Iterator[VideoCapture]":
-    """Yield a video at each of its pictures, before it is decoded; warn if these are fewer than it states."""
-    import cv2
-
-    video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
-    try:
-        if not video.isOpened():
-            raise ValueError(f"{path} is not a video that can be read")
-        read_s = 0.0
-        while video.grab():
-            read_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            yield video
-        stated, read = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_POS_FRAMES)
-        stated_s = stated / max(video.get(cv2.CAP_PROP_FPS), 1e-9)
-        if path.suffix.lower() in _COUNTED and stated > read + 1:
-            LOG.warning("%s states %d pictures, of which %d could be read", path, stated, read)
-        if path.suffix.lower() not in _COUNTED and stated_s > read_s + _SOUND_S:
-            LOG.warning("%s states %.1f s, of which %.1f s could be read", path, stated_s, read_s)
-    finally:
-        video.release()
 
 
 LAYOUTS: dict[str, Layout] = {"recordings": _recordings}

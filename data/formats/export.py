@@ -1,14 +1,11 @@
-"""A data set in other formats: the paper's folders, WebDataset tars, a folder for Hugging Face, arrays for skada.
+"""A data set in other formats: the paper's folders, a folder for Hugging Face, arrays for skada.
 
-Tests read each back with its own loader: `open_domain`, `webdataset`, `datasets` and `mlcroissant`, skada.
+Tests read each back with its own loader: `open_domain`, `datasets`, skada.
 """
 
-import io
-import json
 import logging
 import os
 import re
-import tarfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -18,12 +15,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gelgap.assets import html_page
-from gelgap.assets.checksums import file_sha256
 from gelgap.assets.names import quoted
+from gelgap.assets.pages import html_page
 from gelgap.data.formats.domain_folder import check_is_new, new_folder
 from gelgap.data.formats.pictures import encode_jpeg, encode_png
-from gelgap.data.formats.shards import COLUMNS, FORCES, KINDS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
+from gelgap.data.formats.shards import OPTIONAL
 from gelgap.data.frames.dataset import LabelledFrames
 from gelgap.data.frames.folders import (
     PUBLISHED_FORCES,
@@ -33,10 +29,9 @@ from gelgap.data.frames.folders import (
     open_domain,
 )
 from gelgap.data.frames.splits import PARTS, indices_by_part, split_frames, stated_split
-from gelgap.data.frames.stored import GeneratedDomain, StoredFrames
+from gelgap.data.frames.stored import GeneratedDomain
 
 LOG = logging.getLogger(__name__)
-_SAMPLES_PER_TAR = 1000
 _WITH_CARD = "huggingface"
 _ABOUT = {
     "title": "Synthetic GelSight pictures with force labels",
@@ -45,7 +40,6 @@ _ABOUT = {
 }
 LICENSE = "apache-2.0"
 """What an export's card states where nothing else is given: gelgap's own."""
-_CROISSANT_FORMATS = {".parquet": "application/x-parquet", ".png": "image/png"}
 Axis = Literal["x", "y", "z"]
 # The numbers that skada itself gives a single source and a single target; their sign is what counts.
 _SOURCE, _TARGET = 1, -2
@@ -61,8 +55,8 @@ def export(
 ) -> tuple[Path, ...]:
     """Write the domains at a path in another format and return what was written, one path per domain.
 
-    `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
-    data card, Croissant metadata and one configuration per domain. Frames that did not converge are left out. Parts are
+    `paper` is the published layout (JPEG pictures), `huggingface` one folder with a data card and one configuration per
+    domain. Frames that did not converge are left out. Parts are
     those that the data set states, or drawn anew as `split_frames` draws them by `split_by`: `point` keeps each contact
     point in one part. `license` is what the card states, as Hugging Face names licences, by default `LICENSE`.
 
@@ -72,6 +66,10 @@ def export(
         If the format is unknown or has no card for a licence, the licence is no identifier, the output exists, the
         format is only for generated domains or for one reference, or the split cannot be made.
     """
+    if format_name == "webdataset":
+        raise ValueError(
+            "gelgap 0.3.0 was the last with format webdataset: huggingface is read frame by frame, too"
+        )
     if format_name not in FORMATS:
         raise ValueError(f"format {quoted(format_name)} is unknown; known formats: {', '.join(FORMATS)}")
     if license is not None and format_name != _WITH_CARD:
@@ -85,7 +83,7 @@ def export(
     if others and format_name == _WITH_CARD:
         raise ValueError(f"data set {others[0]} is not in gelgap's format, which this export needs")
     if format_name == "paper" and (several := [own.name for own in domains if len(own.rest_pictures) > 1]):
-        raise ValueError(f"data set {several[0]} has several references, paper one: export as webdataset")
+        raise ValueError(f"data set {several[0]} has several references, paper one: make a data set of each")
     if split_by is not None:
         for frames in domains:
             split = np.empty(len(frames), dtype=object)
@@ -131,32 +129,6 @@ def _paper(frames: LabelledFrames, folder: Path) -> None:
                 os.link(folder / UNSPLIT / "images" / f"{index}.jpg", images / f"{number}.jpg")
 
 
-def _webdataset(frames: StoredFrames, folder: Path) -> None:
-    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, beside them `reference.png`, `reference-1.png`, …."""
-    for number, read in enumerate(frames.rest_pictures):
-        (folder / (f"reference-{number}.png" if number else "reference.png")).write_bytes(encode_png(read()))
-    columns = {name: values.tolist() for name, values in frames.columns.items()}
-    held = frames.shards[0].schema.names if isinstance(frames, GeneratedDomain) else ()
-    if left := sorted(set(held) - {*columns, "image"}):
-        LOG.warning("%s: tars hold no %s; the format huggingface does", frames.name, ", ".join(left))
-    for split, indices in indices_by_part(frames).items():
-        for start in range(0, len(indices), _SAMPLES_PER_TAR):
-            path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
-            with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
-                for index in indices[start : start + _SAMPLES_PER_TAR].tolist():
-                    values = ((name, of_frames[index]) for name, of_frames in columns.items())
-                    # JSON has no NaN, which alone differs from itself.
-                    labels = {name: value if value == value else None for name, value in values}
-                    picture = frames.encoded_picture(index)
-                    suffix = {b"\x89P": "png", b"\xff\xd8": "jpg"}.get(picture[:2])
-                    if suffix is None:
-                        suffix, picture = "png", encode_png(frames.picture(index))
-                    for ending, data in ((suffix, picture), ("json", json.dumps(labels).encode())):
-                        entry = tarfile.TarInfo(f"{int(labels['frame_id']):06d}.{ending}")
-                        entry.size = len(data)
-                        tar.addfile(entry, io.BytesIO(data))
-
-
 def _huggingface(frames: GeneratedDomain, folder: Path) -> None:
     """`<split>-00000.parquet` and `reference.png`, of which `_describe` tells `datasets`."""
     (folder / "reference.png").write_bytes(encode_png(frames.reference))
@@ -177,7 +149,7 @@ def _huggingface(frames: GeneratedDomain, folder: Path) -> None:
 
 
 def _describe(generated: Sequence[GeneratedDomain], license: str, out_dir: Path) -> None:
-    """Write the data card that `datasets` reads, and `croissant.json`."""
+    """Write the data card that `datasets` reads."""
     used = {name for frames in generated for name in frames.optional_columns}
     card = html_page(
         "data-card.md",
@@ -193,45 +165,10 @@ def _describe(generated: Sequence[GeneratedDomain], license: str, out_dir: Path)
         versions=generated[0].manifest["versions"],
     )
     (out_dir / "README.md").write_text(f"{card}\n", encoding="utf-8")
-    (out_dir / "croissant.json").write_text(_croissant(out_dir, license), encoding="utf-8")
-
-
-def _croissant(folder: Path, license: str) -> str:
-    """Return JSON-LD by which other tools find the export's files, columns, types and units.
-
-    Format: https://docs.mlcommons.org/croissant/docs/croissant-spec.html, version 1.0.
-    """
-    files = [
-        {
-            "name": path.relative_to(folder).as_posix(),
-            "domain": path.parent.name,
-            "part": path.stem.partition("-")[0],
-            "bytes": path.stat().st_size,
-            "format": _CROISSANT_FORMATS[path.suffix],
-            "sha256": file_sha256(path),
-            "columns": [COLUMNS[column] for column in pq.read_schema(path).names]
-            if path.suffix == ".parquet"
-            else [],
-        }
-        for path in sorted(folder.glob("*/*"))
-        if path.suffix in _CROISSANT_FORMATS
-    ]
-    text = html_page(
-        "croissant.json",
-        **_ABOUT,
-        license=license,
-        schema_version=SCHEMA_VERSION,
-        files=files,
-        kinds=KINDS,
-        picture=PICTURE,
-        lists=(POINTS, FORCES),
-    )
-    return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
 FORMATS: dict[str, Callable[..., None]] = {
     "paper": _paper,
-    "webdataset": _webdataset,
     "huggingface": _huggingface,
 }
 """Export formats by name."""

@@ -7,6 +7,8 @@ from zlib_ng import zlib_ng
 
 from gelgap.assets.image_file import stated_size_px
 
+REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
+"""What pictures without contact are called."""
 _AVERAGE = 3  # the number of this filter (PNG, W3C Recommendation, 3rd edition, 9.2)
 _NEARER, _ALIKE, _MOST_OFF, _ROWS = 0.85, 8, 25, 60
 
@@ -15,7 +17,7 @@ def encode_png(picture: np.ndarray) -> bytes:
     """Encode an 8-bit RGB or 8/16-bit grey picture losslessly (PNG, W3C Recommendation, 3rd edition).
 
     Sensor noise leaves nothing for string matching to find, so that Huffman coding alone, of rows less the average of
-    their neighbours, is faster and smaller than a compression level (docs/results/generation.md has the table).
+    their neighbours, is faster and smaller than a compression level (docs/results/generation.md).
     A ValueError if the picture has another shape or type.
     """
     colour = picture.ndim == 3 and picture.shape[2] == 3

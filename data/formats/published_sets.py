@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image
-from gelgap.data.formats.convert import Clip, ConvertedClip, Layout, Selection, mean_rgb, video_pictures
+from gelgap.data.formats.convert import Clip, ConvertedClip, Layout, Selection, mean_rgb
+from gelgap.data.formats.video import video_pictures
 from gelgap.data.frames.tables import read_table
 
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
@@ -60,13 +61,13 @@ def rectified(picture: np.ndarray, corners_px: Corners, size_px: tuple[int, int]
     """
     import cv2
 
-    corners = np.float32(corners_px)
+    corners = np.array(corners_px, np.float32)
     if corners.min() < 0 or (corners > picture.shape[1::-1]).any():
         raise ValueError(
             f"the corners {corners.tolist()} lie outside of a picture of {picture.shape[1]}×{picture.shape[0]} px"
         )
     width, height = size_px
-    upright = np.float32([(0, 0), (width, 0), (0, height), (width, height)])
+    upright = np.array([(0, 0), (width, 0), (0, height), (width, height)], np.float32)
     return cv2.warpPerspective(picture, cv2.getPerspectiveTransform(corners, upright), size_px)
 
 

@@ -25,10 +25,9 @@ ROWS_PER_GROUP = 32
 
 
 class Kind(NamedTuple):
-    """How a column's type is called: the feature of Hugging Face `datasets`, Croissant's type, its leaf in Parquet."""
+    """How a column's type is called: the feature of Hugging Face `datasets`, and its leaf in Parquet."""
 
     feature: dict[str, Any]
-    croissant: str
     leaf: str = ""
 
 
@@ -40,13 +39,13 @@ FORCES = pa.list_(pa.float32())
 _NUMBER = {"dtype": "float32", "_type": "Value"}
 _PAIR = {"feature": _NUMBER, "length": 2, "_type": "List"}
 KINDS = {
-    _INT: Kind({"dtype": "int32", "_type": "Value"}, "sc:Integer"),
-    _FLOAT: Kind({"dtype": "float64", "_type": "Value"}, "sc:Float"),
-    _BOOL: Kind({"dtype": "bool", "_type": "Value"}, "sc:Boolean"),
-    _TEXT: Kind({"dtype": "string", "_type": "Value"}, "sc:Text"),
-    PICTURE: Kind({"_type": "Image"}, "sc:ImageObject", "bytes"),
-    POINTS: Kind({"feature": _PAIR, "_type": "List"}, "sc:Float", "list.element.list.element"),
-    FORCES: Kind({"feature": _NUMBER, "_type": "List"}, "sc:Float", "list.element"),
+    _INT: Kind({"dtype": "int32", "_type": "Value"}),
+    _FLOAT: Kind({"dtype": "float64", "_type": "Value"}),
+    _BOOL: Kind({"dtype": "bool", "_type": "Value"}),
+    _TEXT: Kind({"dtype": "string", "_type": "Value"}),
+    PICTURE: Kind({"_type": "Image"}, "bytes"),
+    POINTS: Kind({"feature": _PAIR, "_type": "List"}, "list.element.list.element"),
+    FORCES: Kind({"feature": _NUMBER, "_type": "List"}, "list.element"),
 }
 """Every type that a column may have."""
 

@@ -1,7 +1,7 @@
 """Dents around the place where their contact began: without markers, how far a dent has moved is what tells shear.
 
 In another light R² of shear of single drags is 0.85 to 0.98, where single pictures by losses have 0.2 in the mean
-(docs/results/README.md).
+(docs/results/light.md).
 """
 
 import logging

@@ -18,6 +18,7 @@ from gelgap.assets.names import comma_list, stays_inside
 from gelgap.assets.pinhole import Pinhole
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.data.formats.domain_folder import MANIFEST
+from gelgap.data.formats.pictures import REFERENCE_STEMS
 from gelgap.data.frames.dataset import CONTACT_CLASSES, LabelledFrames
 from gelgap.data.frames.joined import join_domains
 from gelgap.data.frames.labels import FORCE_COLUMNS, PAPER_RANGES, Labels, covering
@@ -33,8 +34,6 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "blank", "untouched", "nocontact")
-"""What pictures without contact are called."""
 REFERENCES = "references"
 IMAGES = "images"
 TABLES = (".csv", ".tsv")
@@ -168,20 +167,16 @@ class PictureFiles(StoredFrames):
 
 
 def _camera_of(file: Path, width_px: int) -> Pinhole:
-    """Return the geometry of a sensor file's camera, or of one with the file's `mm_per_px`."""
+    """Return the camera's geometry in a sensor file, or one with the file's `mm_per_px`."""
     values = read_toml(file)
     with named_in_errors(file):
-        if set(values) == {"mm_per_px"}:
-            if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
-                raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
-            return Pinhole.showing(width_px * scale)
-        camera = values.get("camera")
-        if not isinstance(camera, dict):
-            raise ValueError(
-                "no table [camera]: a sensor file of `gelgap calibrate`, or the one line mm_per_px = 0.05, is needed"
-            )
-        # Its other fields say how a renderer draws, which nothing here needs.
-        return Pinhole(**{name: camera[name] for name in Pinhole.model_fields if name in camera})
+        if set(values) != {"mm_per_px"}:
+            if "camera" not in values:
+                raise ValueError("it has neither mm_per_px alone nor a sensor's table [camera]")
+            return Pinhole.of_camera(values["camera"])
+        if type(scale := values["mm_per_px"]) not in (float, int) or not scale > 0:
+            raise ValueError(f"mm_per_px = {scale!r}: must be a number above 0")
+        return Pinhole.showing(width_px * scale)
 
 
 def _is_published(folder: Path) -> bool:

@@ -43,9 +43,12 @@ TEXTS = GROUPS | {
                 "image path", "image file", "image name", "img path", "file path", "file name"),
 }  # fmt: skip
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
+# Parts of a time in ROS: `header.stamp.sec` and `.nanosec`, in ROS 1 `secs` and `nsecs`.
+_PART_OF_STAMP = re.compile(r"(?:.*[./_])?(nanosecs?|nsecs?|secs?)", re.IGNORECASE)
 # What a table without labels may hold as such: one force of several axes, or of none that is known.
 _FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|kraft|wrench|ft|load|f[\W_]?[xyzn]?)(?![a-z])", re.IGNORECASE)
 # Programs name what an axis belongs to before it: `wrench.force.z`, `/ft/wrench/force/z`, `Force.Fz`.
+_OF_ROS = re.compile(r"(wrench|torque)[./_]*(torque)?[./]", re.IGNORECASE)
 _BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 
 UNITS = {
@@ -182,7 +185,22 @@ def known_columns(
         needed column is absent; the message names the header and the row.
     """
     with named_in_errors(table):
-        return _known_columns(read_table(table), wanted, needed)
+        return _known_columns(_with_whole_stamps(read_table(table)), wanted, needed)
+
+
+def _with_whole_stamps(columns: list[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
+    """Return columns with seconds and nanoseconds of a stamp, as ROS writes them, made one of nanoseconds."""
+    places = {"sec": None, "nanosec": None}
+    for place, (header, cells) in enumerate(columns):
+        found = _PART_OF_STAMP.fullmatch(header)
+        if found and all(cell.isdigit() for cell in cells):
+            places["nanosec" if found[1].lower().startswith("n") else "sec"] = place
+    if None in places.values() or any(_unit(name, COLUMNS["time_s"], "s") is not None for name, _ in columns):
+        return columns
+    stamps = [
+        f"{int(s) * 10**9 + int(ns)}" for s, ns in zip(*(columns[k][1] for k in places.values()), strict=True)
+    ]
+    return [("time_ns", stamps), *(own for k, own in enumerate(columns) if k not in places.values())]
 
 
 def _known_columns(
@@ -208,8 +226,8 @@ def _known_columns(
             except _UnusableError as problem:
                 unusable[ours] = str(problem)
         if len(usable) > 1:
-            headers = " and ".join(repr(header) for header, *_ in usable)
-            unusable[ours] = f"the columns {headers} mean the same, {ours}: take one out, or rename it"
+            named_alike = " and ".join(repr(header) for header, *_ in usable)
+            unusable[ours] = f"the columns {named_alike} mean the same, {ours}: take one out, or rename it"
             if ours in QUANTITIES:
                 raise ValueError(unusable[ours])
         for header, unit, values in usable[:1] if len(usable) == 1 else ():
@@ -218,7 +236,10 @@ def _known_columns(
                 continue
             if lacking := int(np.isnan(values).sum()):
                 notes.append(f"{lacking} of {len(values)} rows have no value of {header!r}")
-            if not unit:
+            if not unit and _own_unit(ours) == "N·mm" and _OF_ROS.search(header):
+                found[ours] = values * UNITS["N·mm"]["N·m"]
+                notes.append(f"{header!r} is converted to N·mm: torques of ROS are in N·m")
+            elif not unit:
                 without_unit[header] = _own_unit(ours)
             elif UNITS[_own_unit(ours)][unit] != 1:
                 notes.append(f"{header!r} is converted to {_own_unit(ours)}")
@@ -233,7 +254,7 @@ def _known_columns(
         _check_unlabelled(unusable, unread)
     notes += [f"{problem}; not read" for problem in unusable.values()]
     for unit in dict.fromkeys(without_unit.values()):
-        headers = [header for header, own in without_unit.items() if own == unit]
+        headers = [header for header, taken in without_unit.items() if taken == unit]
         notes.append(
             f"no unit is stated: {', '.join(headers)} {'are' if headers[1:] else 'is'} read in {unit}"
         )

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelgap.assets.names import comma_list
-from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
+from gelgap.domains.generation.scheduler import check_scheduler
 from gelgap.domains.generation.shard import picture_cells
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState
@@ -23,7 +23,8 @@ LOG = logging.getLogger(__name__)
 _START_S = 4.0
 _FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
 # A range that is proposed is wider than the force that is expected, by what the expectation may be short of.
-_ROOM_FOR_FORCE, _LEAST_LIKELY_MM = 1.5, 0.005
+_ROOM_FOR_FORCE = 1.5
+_LEAST_LIKELY_MM = 0.005
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Estimate:
         return f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
 
     def __str__(self) -> str:
-        plan, frame_kb = self.plan, self.disk_bytes / self.plan.frames / 1e3
+        plan = self.plan
+        frame_kb = self.disk_bytes / self.plan.frames / 1e3
         lines = [
             f"domains  {comma_list([recipe.name for recipe in plan.recipes])}",
             f"frames   {plan.frames} in {plan.shards} shards",
@@ -101,7 +103,9 @@ def _by_indenter(plan: GenerationPlan) -> list[str]:
     for solve in plan.solves.values():
         turns = ", turning" if solve.problem.turns_deg else ""
         by_label.setdefault(solve.problem.indenter.label + turns, []).append(solve.expected_core_s)
-    return [f"{label}: {len(own)} solves, {sum(own):.0f} s of a core" for label, own in by_label.items()]
+    return [
+        f"{label}: {len(core_s)} solves, {sum(core_s):.0f} s of a core" for label, core_s in by_label.items()
+    ]
 
 
 def _dear_notes(plan: GenerationPlan) -> list[str]:
@@ -124,7 +128,7 @@ def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
             beyond.append((force_n, recipe))
     if not beyond:
         return []
-    force_n, recipe = max(beyond, key=lambda found: found[0])
+    force_n, recipe = max(beyond, key=lambda pair: pair[0])
     others = f" (and {len(beyond) - 1} other domains)" if len(beyond) > 1 else ""
     wide = math.ceil(_ROOM_FOR_FORCE * force_n)
     return [

@@ -6,7 +6,7 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -17,14 +17,15 @@ import numpy as np
 
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import comma_list, quoted
-from gelgap.assets.progress import shown_progress
+from gelgap.assets.progress import Progress, shown_progress
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX
 from gelgap.data.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
 from gelgap.data.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.domain import Domain
-from gelgap.domains.generation.cluster import check_answers, check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
+from gelgap.domains.generation.run import run
+from gelgap.domains.generation.scheduler import check_answers, check_scheduler
 from gelgap.domains.generation.shard import Shard, reference_png
 from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, facts_of, make_recipes
 from gelgap.sim import ContactPath, PosePath
@@ -131,9 +132,9 @@ def generate_recipes(
     out_dir
         Gets one folder per domain, and `run.jsonl` (times, machine, events).
     scheduler
-        Address of a Dask scheduler, or `synchronous` for this process; by default a local cluster is started.
+        Address of a Dask scheduler, or `synchronous` for this process; by default, processes of this machine.
     workers
-        Processes of the local cluster; by default one per core.
+        How many of them; by default one per core.
     overwrite
         Replace domains that hold another configuration.
 
@@ -141,61 +142,84 @@ def generate_recipes(
     ------
     ValueError
         If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved,
-        workers is below 1 or given for a cluster that is there, or the scheduler is no address.
+        workers is below 1 or given for a cluster that is there, the scheduler is no address, or Dask is missing for it.
     RuntimeError
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
     start = time.monotonic()
     out_dir = Path(out_dir)
-    names = tuple(recipe.name for recipe in recipes)
-    check_named_once(names)
+    check_named_once(recipe.name for recipe in recipes)
     check_scheduler(scheduler, workers)
     check_answers(scheduler)
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
     for note in force_notes(recipes):
         LOG.warning("%s", note)
     with sole_use(out_dir), shown_progress() as progress:
-        writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
-        # Nothing is changed on disk unless all folders are free or resumable.
-        for writer in writers.values():
-            writer.check(overwrite)
-        skipped = tuple(name for name in names if writers[name].skipped)
+        writers = _writers(recipes, out_dir, overwrite)
         plan = plan.without({name: set(writer.files) for name, writer in writers.items()})
-        solves, frames, written, unrenderable = len(plan.solves), 0, 0, 0
-        progress("solves", 0, solves)
-        progress("frames", 0, plan.frames)
         log = partial(_log_event, out_dir)
-        log("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
+        log("begin", domains=[*writers], solves=len(plan.solves), frames=plan.frames, scheduler=scheduler)
         try:
             for writer in writers.values():
                 writer.prepare()
             _check_space(out_dir, plan, writers)
-            for shard in run(plan, progress, scheduler, workers):
-                written += writers[shard.domain].write_shard(shard)
-                frames += shard.facts["frames"]
-                progress("frames", frames, plan.frames)
-                unrenderable += len(shard.unrenderable)
-                if shard.unrenderable:
-                    log("not rendered", domain=shard.domain, frames=shard.unrenderable)
+            progress("solves", 0, len(plan.solves))
+            progress("frames", 0, plan.frames)
+            _write_shards(run(plan, progress, scheduler, workers), writers, plan.frames, progress, log)
         except BaseException as error:
             log("stopped", error=f"{type(error).__name__}: {error}")
             raise
-        report = GenerationReport(
-            out_dir=out_dir,
-            domains=names,
-            skipped=skipped,
-            frames=sum(recipe.frames for recipe in recipes),
-            frames_written=plan.frames,
-            unconverged=sum(writer.total("unconverged") for writer in writers.values()),
-            unrenderable=unrenderable,
-            outside_range=sum(writer.total("outside_range") for writer in writers.values()),
-            solves=solves,
-            bytes_written=written,
-            wall_s=time.monotonic() - start,
-            interpolation={name: own.interpolation for name, own in writers.items() if own.interpolation},
-        )
-        log("end", wall_s=round(report.wall_s, 3), bytes=written)
+        report = _report(out_dir, writers, plan, time.monotonic() - start)
+        log("end", wall_s=round(report.wall_s, 3), bytes=report.bytes_written)
         return report
+
+
+def _writers(recipes: Sequence[DomainRecipe], out_dir: Path, overwrite: bool) -> "dict[str, DomainWriter]":
+    """Return what writes each domain; nothing is changed on disk unless all folders are free or resumable."""
+    writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
+    for writer in writers.values():
+        writer.check(overwrite)
+    return writers
+
+
+def _write_shards(
+    shards: Iterable[Shard],
+    writers: "Mapping[str, DomainWriter]",
+    frames: int,
+    progress: Progress,
+    log: Callable[..., None],
+) -> None:
+    """Write shards as they come; of so many frames, show how many are written."""
+    written = 0
+    for shard in shards:
+        writers[shard.domain].write_shard(shard)
+        written += shard.facts["frames"]
+        progress("frames", written, frames)
+        if shard.unrenderable:
+            log("not rendered", domain=shard.domain, frames=shard.unrenderable)
+
+
+def _report(
+    out_dir: Path, writers: "Mapping[str, DomainWriter]", plan: GenerationPlan, wall_s: float
+) -> GenerationReport:
+    """Return what was done: by the plan of what was left to do, and by what the writers have written."""
+    interpolation = {
+        name: writer.interpolation for name, writer in writers.items() if writer.interpolation is not None
+    }
+    return GenerationReport(
+        out_dir=out_dir,
+        domains=tuple(writers),
+        skipped=tuple(name for name, writer in writers.items() if writer.skipped),
+        frames=sum(writer.recipe.frames for writer in writers.values()),
+        frames_written=plan.frames,
+        unconverged=sum(writer.total("unconverged") for writer in writers.values()),
+        unrenderable=sum(writer.unrenderable for writer in writers.values()),
+        outside_range=sum(writer.total("outside_range") for writer in writers.values()),
+        solves=len(plan.solves),
+        bytes_written=sum(writer.bytes_written for writer in writers.values()),
+        wall_s=wall_s,
+        interpolation=interpolation,
+    )
 
 
 class DomainWriter:
@@ -207,13 +231,16 @@ class DomainWriter:
         self.files: dict[str, Any] = {}
         self.skipped = False
         self.interpolation: dict[str, Any] | None = None
+        self.bytes_written = 0
+        self.unrenderable = 0
 
     def check(self, overwrite: bool) -> None:
         """Refuse a folder that holds something else, before anything is changed; else see what is intact."""
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
-        files, self.interpolation = manifest["files"], manifest.get("interpolation")
+        files = manifest["files"]
+        self.interpolation = manifest.get("interpolation")
         self.files = {name: entry for name, entry in files.items() if not self.folder.problem(name, entry)}
         self.skipped = manifest["complete"] and len(self.files) == len(files)
         there, asked = manifest["configuration"], self.recipe.configuration()
@@ -254,19 +281,21 @@ class DomainWriter:
             manifest["facts"] = facts_of(self.recipe).model_dump(mode="json")
             self.folder.write_manifest(manifest)
 
-    def write_shard(self, shard: Shard) -> int:
-        """Write one shard and enter it in the manifest; return how many bytes it has."""
+    def write_shard(self, shard: Shard) -> None:
+        """Write one shard and enter it in the manifest."""
         self.files[shard.file] = self.folder.write_file(shard.file, shard.data) | shard.facts
         self.interpolation = shard.interpolation or self.interpolation
+        self.bytes_written += len(shard.data)
+        self.unrenderable += len(shard.unrenderable)
         self._write_manifest()
-        return len(shard.data)
 
     def total(self, count: str) -> int:
         """Return the sum of one count over all shards."""
         return sum(entry.get(count, 0) for entry in self.files.values())
 
     def _write_manifest(self) -> None:
-        recipe, shards = self.recipe, self.files.values()
+        recipe = self.recipe
+        shards = self.files.values()
         lows = [entry["force_min_n"] for entry in shards if entry.get("force_min_n")]
         highs = [entry["force_max_n"] for entry in shards if entry.get("force_max_n")]
         manifest = {
@@ -306,11 +335,11 @@ def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, Doma
 @lru_cache(maxsize=1)
 def package_versions() -> dict[str, str]:
     """Return the versions of the packages that a domain's bytes may depend on."""
-    found = dict.fromkeys(PACKAGES, "not installed")
+    versions = dict.fromkeys(PACKAGES, "not installed")
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            versions[name] = version(name)
+    return versions
 
 
 def _log_event(out_dir: Path, what: str, **values: Any) -> None:

@@ -9,12 +9,20 @@ from typing import Any
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.data.formats.domain_folder import shard_name
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim import ContactPath, Elastomer, LibraryPlan, Pose, PosePath, PoseRanges, plan_solves
+from gelgap.sim import (
+    ContactPath,
+    Elastomer,
+    LibraryPlan,
+    Pose,
+    PoseLibrary,
+    PosePath,
+    PoseRanges,
+    plan_solves,
+)
 from gelgap.sim.indenter import Indenter
-from gelgap.sim.library import LibraryPose
-from gelgap.sim.plan import Solve, SolvePlan, joined
+from gelgap.sim.library import PoseState, joined
+from gelgap.sim.plan import Solve, SolvePlan
 from gelgap.sim.scene import is_interior
-from gelgap.sim.solved import SolvedPose
 
 PoseSource = Solve | LibraryPlan
 """What poses follow from: a solve, or a library of poses, which is made of several."""
@@ -23,14 +31,13 @@ FRAMES_PER_SHARD = 128
 
 @dataclass(frozen=True)
 class Contacts:
-    """The poses of frames, and the solve that each follows from, or the library of poses.
+    """The poses of a plan, one for each frame, and the solve that each follows from, or the library of poses.
 
-    Where the library serves a pose, the plan `own` has it without contact.
+    `libraries` has the library by the number of each pose that it serves; the plan's `placements` have the others.
     """
 
-    poses: tuple[Pose, ...]
-    own: SolvePlan
-    library: LibraryPlan | None = None
+    plan: SolvePlan
+    libraries: Mapping[int, LibraryPlan] = field(default_factory=dict)
 
     @classmethod
     def interpolated(
@@ -47,37 +54,59 @@ class Contacts:
             plain = pose.depth_mm > 0 and pose.trajectory is None and not any(pose.turn_deg)
             return plain and is_interior(gel, indenter, pose)
 
-        served = [pose for pose in path.poses if is_served(pose)]
-        left = tuple(replace(pose, depth_mm=0.0) if is_served(pose) else pose for pose in path.poses)
-        library = LibraryPlan(gel, indenter, PoseRanges.of(served, reach_mm), quality) if served else None
-        return cls(path.poses, plan_solves(gel, indenter, PosePath(path.name, left), quality), library)
+        poses = path.poses
+        served = [index for index, pose in enumerate(poses) if is_served(pose)]
+        others = [index for index, pose in enumerate(poses) if not is_served(pose)]
+        plan = plan_solves(
+            gel, indenter, PosePath(path.name, tuple(poses[index] for index in others)), quality
+        )
+        placements = {others[number]: placement for number, placement in plan.placements.items()}
+        plan = replace(plan, poses=poses, placements=placements)
+        if not served:
+            return cls(plan)
+        ranges = PoseRanges.of([poses[index] for index in served], reach_mm)
+        return cls(plan, dict.fromkeys(served, LibraryPlan(gel, indenter, ranges, quality)))
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        return self.plan.poses
+
+    @property
+    def library(self) -> LibraryPlan | None:
+        """The library, if it serves any pose."""
+        return next(iter(self.libraries.values()), None)
 
     @property
     def sources(self) -> dict[str, PoseSource]:
         """What the poses follow from, by key."""
-        libraries = {} if self.library is None else {self.library.key: self.library}
-        return {solve.key: solve for solve in self.own.solves} | libraries
+        solves = {solve.key: solve for solve in self.plan.solves}
+        return solves | {library.key: library for library in self.libraries.values()}
 
-    def source_key(self, index: int) -> str | None:
-        """Return the key of what a pose follows from; None without contact."""
-        if self._is_interpolated(index):
-            return self.library.key
-        return self.own.solve_key(index) if self.own.placements[index] is not None else None
+    def source_keys(self) -> set[str]:
+        """Return the keys of what poses follow from; those without contact follow from nothing."""
+        solved = {self.plan.solve_key(index) for index in self.plan.placements}
+        return solved | {library.key for library in self.libraries.values()}
 
-    def state(self, index: int, source: Any, half_extent_mm: tuple[float, float]) -> LibraryPose | SolvedPose:
-        """Return the membrane of a pose from what the source that `source_key` names is served by."""
-        if self._is_interpolated(index):
-            return source.state(self.own.elastomer, self.poses[index], half_extent_mm)
-        return self.own.state(index, source, half_extent_mm)
-
-    def _is_interpolated(self, index: int) -> bool:
-        return self.own.placements[index] is None and self.poses[index].depth_mm > 0
+    def state(
+        self, index: int, solutions: Mapping[str, Any], half_extent_mm: tuple[float, float]
+    ) -> PoseState:
+        """Return the membrane of a pose from what its source is served by, which has the source's key."""
+        if index in self.libraries:
+            library: PoseLibrary = solutions[self.libraries[index].key]
+            return library.state(self.plan.elastomer, self.poses[index], half_extent_mm)
+        return self.plan.state(index, solutions, half_extent_mm)
 
     def part(self, start: int, stop: int) -> "Contacts":
         """Return the contacts of some frames."""
-        own = self.own
-        own = replace(own, poses=own.poses[start:stop], placements=own.placements[start:stop])
-        return replace(self, poses=self.poses[start:stop], own=own)
+        frames = range(start, min(stop, len(self.poses)))
+        placements = self.plan.placements
+        plan = replace(
+            self.plan,
+            poses=self.poses[start:stop],
+            placements={index - start: placements[index] for index in frames if index in placements},
+        )
+        libraries = self.libraries
+        return Contacts(plan, {index - start: libraries[index] for index in frames if index in libraries})
 
 
 @dataclass(frozen=True)
@@ -133,7 +162,9 @@ class GenerationPlan:
         """Return what is left to do where some shards are finished, by the name of the domain."""
         batches = []
         for batch in self.batches:
-            recipes = tuple(own for own in batch.recipes if batch.shard not in finished.get(own.name, ()))
+            recipes = tuple(
+                recipe for recipe in batch.recipes if batch.shard not in finished.get(recipe.name, ())
+            )
             if recipes:
                 batches.append(replace(batch, recipes=recipes))
         needed = {key for batch in batches for key in batch.solve_keys}
@@ -169,11 +200,11 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
             contacts = Contacts.interpolated(elastomer, indenters[0], path, quality, reach_mm)
         else:
             plan = joined([plan_solves(elastomer, indenter, path, quality) for indenter in indenters])
-            contacts = Contacts(plan.poses, plan)
+            contacts = Contacts(plan)
         sources |= contacts.sources
         for number, start in enumerate(shard_starts(len(contacts.poses))):
             part = contacts.part(start, start + FRAMES_PER_SHARD)
-            serving = {part.source_key(index) for index in range(len(part.poses))}
+            serving = part.source_keys()
             keys = tuple(key for key in contacts.sources if key in serving)
             batches.append(FrameBatch(tuple(members), shard_name(number), start, part, keys))
     return GenerationPlan(tuple(recipes), sources, tuple(batches))

@@ -17,14 +17,13 @@ from gelgap.data.random_stream import random_stream
 from gelgap.domains.generation.columns import CELL_MAKERS, LABEL_MAKERS, Contact, View
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.domains.renderers import KEPT_RENDERERS, kept_renderer, renderer_of
+from gelgap.render import Illumination, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
+from gelgap.sim.library import LibraryPose, PoseState
 
 Row = dict[str, Any]
-# One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.
-KEPT_RENDERERS = 32
-_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -58,22 +57,25 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
     rows: dict[str, list[Row]] = {name: [] for name in labels_of}
     refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
-    groups, frames = list(alike.values()), range(batch.start, batch.start + len(batch))
+    groups = list(alike.values())
+    frames = range(batch.start, batch.start + len(batch))
     # A membrane is rastered once for all lights of a group; a group has as many lights as renderers are kept.
     for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
-        source = solutions.get(batch.contacts.source_key(place))
-        states: dict[tuple[float, float], MembraneState] = {}
+        states: dict[tuple[float, float], PoseState] = {}
         for recipes in groups[start : start + KEPT_RENDERERS]:
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:
-                states[extent] = batch.contacts.state(place, source, extent)
-            state, reason = states[extent], None
+                states[extent] = batch.contacts.state(place, solutions, extent)
+            state = states[extent]
+            reason: str | None = None
             cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     coarse_n = None
-                    if any("traction" in recipe.columns for recipe in recipes):
+                    wants_traction = any("traction" in recipe.columns for recipe in recipes)
+                    # Recipes ask no library for it.
+                    if wants_traction and not isinstance(state, LibraryPose):
                         coarse_n = state.traction().coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
@@ -82,12 +84,12 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                     # Only a sentence of our own speaks for itself.
                     is_ours = isinstance(error, ValueError)
                     reason = str(error) if is_ours else f"{type(error).__name__}: {error}"
-            for recipe, own_cells in zip(recipes, cells, strict=True):
-                rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
+            for recipe, picture in zip(recipes, cells, strict=True):
+                rows[recipe.name].append(labels_of[recipe.name](frame, state) | picture)
                 if reason is not None:
                     refused[recipe.name][frame] = reason
-    library = batch.contacts.library and solutions.get(batch.contacts.library.key)
-    errors = library.errors if library and library.held_out is not None else None
+    library = batch.contacts.library
+    errors = solutions[library.key].errors if library else None
     return [
         _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
         for recipe in batch.recipes
@@ -96,7 +98,7 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
 
 def paper_picture(state: MembraneState) -> np.ndarray:
     """Return the picture (h, w, 3) of the paper's sensor in the light i0, by which a library's error is judged."""
-    renderer = _renderer(Sensor.preset("paper"), Illumination.preset("i0"))
+    renderer = kept_renderer(Sensor.preset("paper"), Illumination.preset("i0"))
     return renderer.picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
@@ -156,11 +158,6 @@ def reference_png(recipe: DomainRecipe) -> bytes:
     return encode_png(_as_shown(recipe, picture))
 
 
-def renderer_of(recipe: DomainRecipe) -> MembraneRenderer:
-    """Return what renders the pictures of a domain; it is kept for other domains of the same light and camera."""
-    return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-
-
 def _shows_markers(recipe: DomainRecipe) -> bool:
     return recipe.markers or recipe.inpainted_from is not None
 
@@ -174,24 +171,25 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
 def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]:
     """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
     names = [column.name for column in (*LABELS, *_optional(recipe)) if column.is_label]
-    poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
+    poses = recipe.commanded_poses()
+    travels = trajectories(recipe.path.poses)
     split = draw_parts(recipe.frames, recipe.seed)
     last_travel = max(number for number, _ in travels) + 1
-    bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
+    bias_n = recipe.drawn_errors().force_bias_n
+    noise_n = recipe.acquisition.force_noise_n
 
     def cells(frame: int, state: MembraneState) -> Row:
-        force_n = np.asarray(state.force_n, float) + bias_n
+        read_n = np.asarray(state.force_n, float) + bias_n
         if noise_n:
             rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
-            force_n = force_n + noise_n * rng.standard_normal(3)
+            read_n = read_n + noise_n * rng.standard_normal(3)
         # Adding zero turns −0.0, which some readers show, into 0.0.
-        force_n = tuple(float(value) + 0.0 for value in force_n)
+        force_n = tuple(float(value) + 0.0 for value in read_n)
         turn, place = divmod(frame, len(poses))
-        (travel, step), indenter = travels[place], recipe.indenters[turn]
+        travel, step = travels[place]
         travel += turn * last_travel
-        contact = Contact(
-            frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label
-        )
+        body = recipe.indenters[turn].label
+        contact = Contact(frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, body)
         return {name: LABEL_MAKERS[name](contact) for name in names}
 
     return cells

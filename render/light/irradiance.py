@@ -120,7 +120,7 @@ def _irradiance(surface, leds, march_step_mm, out, share, known):
     _open_irradiance(surface, leds, out, lowest)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
     occluders = find_occluders(surface, leds.outlines)
-    found = 0
+    parts_known = 0
     for stride in (4, 2, 1):
         for j in range(0, rows, stride):
             for i in range(0, columns, stride):
@@ -146,9 +146,9 @@ def _irradiance(surface, leds, march_step_mm, out, share, known):
                             out[j, i, led] = total * share[j, i, led]
                             continue
                     strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
-                    if found == len(known):
+                    if parts_known == len(known):
                         known = np.concatenate((known, np.empty_like(known)))
-                    parts = known[found]
+                    parts = known[parts_known]
                     if not visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts):
                         continue
                     out[j, i, led] = _partial_irradiance(vertex, strips, parts)
@@ -156,9 +156,9 @@ def _irradiance(surface, leds, march_step_mm, out, share, known):
                     if gentle and is_above and total > zero:
                         share[j, i, led] = min(out[j, i, led] / total, SHADED)
                     else:
-                        share[j, i, led] = np.float32(-1 - found)
-                        found += 1
-    return known[:found]
+                        share[j, i, led] = np.float32(-1 - parts_known)
+                        parts_known += 1
+    return known[:parts_known]
 
 
 def direct_light(

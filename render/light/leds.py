@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from gelgap.assets.names import one_line
 from gelgap.assets.settings import PresetSettings, Settings
-from gelgap.render.camera import Camera
+from gelgap.render.imaging import Camera
 from gelgap.render.light.scattered import Scattered
 from gelgap.render.light.spectra import Spectrum, camera_rgb
 from gelgap.render.surface import Lattice
@@ -225,7 +225,7 @@ def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail, lattice: La
     """Return the strips, nodes and outlines of emitters over a membrane."""
     strips = [_strips(emitter, detail) for emitter in emitters]
     nodes = [_nodes(emitter, lattice) for emitter in emitters]
-    first = np.cumsum([0] + [own.shape[1] for own in nodes]).astype(np.int32)
+    first = np.cumsum([0] + [led_nodes.shape[1] for led_nodes in nodes]).astype(np.int32)
     normal = np.array([emitter.normal for emitter in emitters], np.float32)
     left = [(led.center_mm - led.half_u_mm)[:2] for led in emitters]
     right = [(led.center_mm + led.half_u_mm)[:2] for led in emitters]
@@ -233,14 +233,16 @@ def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail, lattice: La
     return LedSamples(
         is_point=np.array([emitter.kind == "point" for emitter in emitters]),
         strips=np.concatenate(strips),
-        first_strip=np.cumsum([0] + [len(own) for own in strips]).astype(np.int32),
+        first_strip=np.cumsum([0] + [len(led_strips) for led_strips in strips]).astype(np.int32),
         nodes=Nodes(np.concatenate(nodes, axis=1, dtype=np.float32), first, normal),
         outlines=Outlines(*(np.array(values, np.float32) for values in (left, right, lowest))),
     )
 
 
 def _strips(emitter: Emitter, detail: ShadowDetail) -> np.ndarray:
-    length_mm, is_point, strips = 2 * np.linalg.norm(emitter.half_u_mm), emitter.kind == "point", []
+    length_mm = 2 * np.linalg.norm(emitter.half_u_mm)
+    is_point = emitter.kind == "point"
+    strips = []
     count = max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
     for place, weight, chord in _slices(emitter.kind, count):
         center = emitter.center_mm + place * emitter.half_u_mm
@@ -259,8 +261,8 @@ def _nodes(emitter: Emitter, lattice: Lattice) -> np.ndarray:
     distance_mm = np.sqrt((beside**2).sum(axis=-1) + face[..., 2] ** 2).min()
     length, height = np.linalg.norm(half_u), np.linalg.norm(half_v)
     places, weights, chords = _slices(emitter.kind, node_count(length, distance_mm)).T[..., None]
-    across, own_weights = np.polynomial.legendre.leggauss(node_count(height, distance_mm))
+    across, across_weights = np.polynomial.legendre.leggauss(node_count(height, distance_mm))
     positions = emitter.center_mm[:, None, None] + np.multiply.outer(half_u, places)
     positions = positions + np.multiply.outer(half_v, chords * across)
-    areas = length * height * weights * chords * own_weights
+    areas = length * height * weights * chords * across_weights
     return np.vstack([positions.reshape(3, -1), areas.ravel()])

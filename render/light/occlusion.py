@@ -132,8 +132,8 @@ def find_occluders(surface, outlines):
 def may_be_hidden(vertex, outlines, led, occluder):
     """Return whether the occluder's disc can stand between a vertex and an LED: a quick, conservative test."""
     zero = np.float32(0)
-    own = -vertex.z
-    if not occluder.exists or occluder.top <= own:
+    own_height = -vertex.z
+    if not occluder.exists or occluder.top <= own_height:
         return False
     radius = occluder.radius
     cx, cy = occluder.center_x - vertex.x, occluder.center_y - vertex.y
@@ -156,8 +156,10 @@ def may_be_hidden(vertex, outlines, led, occluder):
         return False
     # over its top
     near = np.sqrt(distance2) - radius
-    lowest = outlines.lowest_mm[led] - own
-    return not (lowest > zero and (occluder.top - own) ** 2 * max(a2, b2) < lowest * lowest * near * near)
+    lowest = outlines.lowest_mm[led] - own_height
+    return not (
+        lowest > zero and (occluder.top - own_height) ** 2 * max(a2, b2) < lowest * lowest * near * near
+    )
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
@@ -211,7 +213,7 @@ def visible_parts(vertex, field, occluder, strips, step_mm, parts):
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-6)
     grid = field.grid
     inverse_spacing = one / grid.spacing_mm
-    own = -vertex.z
+    own_height = -vertex.z
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
     u, v = (px - grid.x0_mm) * inverse_spacing, (py - grid.y0_mm) * inverse_spacing
@@ -242,10 +244,10 @@ def visible_parts(vertex, field, occluder, strips, step_mm, parts):
             t_out = min(min(max(ta, tb), max(tc, td)), one)
             lowest = -(az + s0 * (bz - az))
             if lowest > zero:
-                t_out = min(t_out, (occluder.top - own) / lowest)
+                t_out = min(t_out, (occluder.top - own_height) / lowest)
             if t_in < t_out:
                 steps = np.int32((t_out - t_in) * distance / step_mm) + 2
-                ray = Ray(u, v, mx * inverse_spacing, my * inverse_spacing, own)
+                ray = Ray(u, v, mx * inverse_spacing, my * inverse_spacing, own_height)
                 far_a, far_b = np.sqrt(ax * ax + ay * ay) / distance, np.sqrt(bx * bx + by * by) / distance
                 slope = _steepest(field, ray, t_in, t_out, steps, max(-az / far_a, -bz / far_b))
                 above_a, above_b = -az - slope * far_a, -bz - slope * far_b

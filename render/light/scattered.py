@@ -84,9 +84,15 @@ def places(x_mm: np.ndarray, y_mm: np.ndarray, span_mm: Span, scale_mm: float, d
 def _fill_harmonics(x, y, z, out):
     """Write the harmonics of a unit normal, less those of the flat normal (0, 0, −1), up to as many as `out` holds."""
     one = z + 1 - z  # of the type of z, so that single precision stays single
-    out[0], out[1], out[2] = x, y, z + one
+    out[0] = x
+    out[1] = y
+    out[2] = z + one
     if len(out) >= 8:
-        out[3], out[4], out[5], out[6], out[7] = x * y, x * z, y * z, x * x - y * y, one - z * z
+        out[3] = x * y
+        out[4] = x * z
+        out[5] = y * z
+        out[6] = x * x - y * y
+        out[7] = one - z * z
     if len(out) >= 15:
         five_z2 = 5 * one * z * z - one
         out[8] = x * (x * x - 3 * one * y * y)
@@ -119,12 +125,12 @@ class ScatteredTable:
         x, y = np.meshgrid(lattice.x_mm, lattice.y_mm)
         count = HARMONICS[scattered.order]
         by_place = np.array(scattered.coefficients).reshape(3, count, PLACES[scattered.degree])
-        at = scattered.span_mm, scattered.scale_mm
-        table = np.einsum("yxj,clj->yxcl", places(x, y, *at, scattered.degree), by_place)
+        span_mm, scale_mm = scattered.span_mm, scattered.scale_mm
+        table = np.einsum("yxj,clj->yxcl", places(x, y, span_mm, scale_mm, scattered.degree), by_place)
         ambient = np.zeros((lattice.rows, lattice.columns, 3))
         for channel, row in enumerate(scattered.ambient):
             if row:
-                ambient[..., channel] = places(x, y, *at, 1) @ row
+                ambient[..., channel] = places(x, y, span_mm, scale_mm, 1) @ row
         self._by_harmonic = np.ascontiguousarray(exposure * table, np.float32)
         self._ambient = (exposure * ambient).astype(np.float32)
 

@@ -1,32 +1,25 @@
 """LED spectra, and what a camera makes of them: linear camera RGB.
 
-Only the first use of a camera imports colour-science; its response is kept on disk.
+Planck's law, Gaussian lines and the cameras' sensitivities are those of colour-science, whose import takes 2.7 s.
+`assets/led_colours.csv` keeps the answers for what data sheets state (scripts/led_colours.py makes it), so that presets
+are drawn without it; it is imported for any other spectrum, as for lights that are drawn.
 """
 
-import contextlib
-import json
 from collections.abc import Sequence
-from functools import lru_cache
-from importlib.metadata import version
-from pathlib import Path
+from functools import cache, lru_cache
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.checksums import parse_json, sha256
-from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets import asset_path
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import Settings
-from gelgap.assets.whole_file import write_whole
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)
+TABLE = "led_colours.csv"
 _WAVELENGTH_NM = np.arange(FIRST_NM, LAST_NM + 1.0)
-# Planck's constants, W m² and m K, as colorimetry takes them (ITS-90; CIE 15:2004).
-_C1, _C2 = 3.741771e-16, 1.4388e-2
-# Raise it when the file in the cache has another form.
-_MODEL = 3
 Channel = Annotated[float, Field(ge=0, le=100)]
 Rgb = tuple[float, float, float]
 
@@ -71,26 +64,9 @@ class WhiteSpectrum(Settings):
     cct_k: float = Field(ge=1500, le=20000, description="correlated colour temperature, kelvin")
 
 
-Spectrum = PeakSpectrum | TableSpectrum | RgbSpectrum | WhiteSpectrum
-
-
-def _power(spectrum: PeakSpectrum | TableSpectrum | WhiteSpectrum) -> np.ndarray:
-    """Return the spectral power at `_WAVELENGTH_NM`, scaled to unit total power."""
-    match spectrum:
-        case PeakSpectrum():
-            sigma_nm = spectrum.width_nm / (2 * np.sqrt(2 * np.log(2)))
-            power = np.exp(-0.5 * ((_WAVELENGTH_NM - spectrum.peak_nm) / sigma_nm) ** 2)
-        case TableSpectrum():
-            power = np.interp(_WAVELENGTH_NM, spectrum.wavelength_nm, spectrum.power, left=0, right=0)
-        case WhiteSpectrum():
-            wavelength_m = _WAVELENGTH_NM * 1e-9
-            power = _C1 * wavelength_m**-5 / np.pi * (1 / np.expm1(_C2 / (wavelength_m * spectrum.cct_k)))
-            first, last = np.searchsorted(_WAVELENGTH_NM, VISIBLE_NM)
-            power[:first] = power[last + 1 :] = 0
-    total = power.sum()
-    if total <= 0:
-        raise ValueError(f"the spectrum {spectrum!r} has no power between {FIRST_NM} and {LAST_NM} nm")
-    return power / total
+Emitted = PeakSpectrum | TableSpectrum | WhiteSpectrum
+Spectrum = Emitted | RgbSpectrum
+EQUAL_ENERGY = TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
 
 
 def camera_rgb(
@@ -106,67 +82,70 @@ def camera_rgb(
     ValueError
         If the camera is unknown or a spectrum has no power in the visible range.
     """
-    if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
-        return tuple(spectrum.rgb for spectrum in spectra)
-    response = camera_response(sensitivity)
-    equal_energy = TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
-    white = WhiteSpectrum(cct_k=white_balance_cct_k) if white_balance_cct_k else equal_energy
-    gain = 1 / (_power(white) @ response)
+    white = WhiteSpectrum(cct_k=white_balance_cct_k) if white_balance_cct_k else EQUAL_ENERGY
 
     def rgb(spectrum: Spectrum) -> Rgb:
         if isinstance(spectrum, RgbSpectrum):
             return spectrum.rgb
-        return tuple((_power(spectrum) @ response * gain).tolist())
+        red, green, blue = raw_rgb(spectrum, sensitivity) / raw_rgb(white, sensitivity)
+        return float(red), float(green), float(blue)
 
     return tuple(rgb(spectrum) for spectrum in spectra)
 
 
-def camera_response(sensitivity: str) -> np.ndarray:
-    """Return (401, 3): how a camera's channels respond to light of 380 to 780 nm, kept in the user's cache folder.
-
-    A file that cannot be read or written costs an import of colour-science and nothing else.
-    """
-    text = json.dumps([sensitivity, version("colour-science"), _MODEL])
-    key = sha256(text.encode())
-    path = cache_folder() / f"{key}.led"
-    if (found := _kept(path)) is None:
-        with key_lock(cache_folder(), key):
-            if (found := _kept(path)) is None:
-                found = _tabulated_response(sensitivity)
-                with contextlib.suppress(RuntimeError):
-                    write_whole(path, json.dumps(found.tolist()).encode())
-    return found
+def raw_rgb(spectrum: Emitted, sensitivity: str) -> np.ndarray:
+    """Return (3,): what a camera's channels respond to a spectrum of unit power."""
+    known = _table().get(table_key(spectrum, sensitivity))
+    return computed_rgb(spectrum, sensitivity) if known is None else known
 
 
-def _tabulated_response(sensitivity: str) -> np.ndarray:
+def table_key(spectrum: Emitted, sensitivity: str) -> tuple[str, ...] | None:
+    """Return the first columns of a spectrum's row in the table, as text; None if the table has no such rows."""
+    match spectrum:
+        case PeakSpectrum():
+            return sensitivity, "peak", f"{spectrum.peak_nm!r}", f"{spectrum.width_nm!r}"
+        case WhiteSpectrum():
+            return sensitivity, "white", f"{spectrum.cct_k!r}", ""
+    return (sensitivity, "equal energy", "", "") if spectrum == EQUAL_ENERGY else None
+
+
+@cache
+def _table() -> dict[tuple[str, ...] | None, np.ndarray]:
+    rows = asset_path(TABLE).read_text(encoding="utf-8").splitlines()[1:]
+    cells = [row.split(",") for row in rows]
+    return {tuple(row[:4]): np.array(row[4:], float) for row in cells}
+
+
+# Each picture under a drawn light asks for the same ones again.
+@lru_cache(maxsize=1024)
+def computed_rgb(spectrum: Emitted, sensitivity: str) -> np.ndarray:
+    """Return `raw_rgb` by colour-science."""
     import colour
 
     cameras = colour.MSDS_CAMERA_SENSITIVITIES
     if sensitivity not in cameras:
         raise ValueError(unknown_name("camera sensitivity", sensitivity, sorted(cameras)))
     table = cameras[sensitivity]
-    channels = (
+    channels = [
         np.interp(_WAVELENGTH_NM, table.wavelengths, table.values[:, k], left=0, right=0) for k in range(3)
-    )
-    return np.stack(list(channels), axis=1)
+    ]
+    return _power(spectrum) @ np.stack(channels, axis=1)
 
 
-def clear_led_cache() -> None:
-    """Delete the responses of cameras, and what earlier versions kept for each light."""
-    for path in cache_folder().glob("*.led"):
-        path.unlink(missing_ok=True)
+def _power(spectrum: Emitted) -> np.ndarray:
+    """Return the spectral power at `_WAVELENGTH_NM`, scaled to unit total power."""
+    from colour.colorimetry import SpectralShape, planck_law, sd_gaussian_fwhm
 
-
-def _kept(path: Path) -> np.ndarray | None:
-    """Return the response in a file; None if there is none that can be read."""
-    return _read(path, path.stat().st_mtime_ns) if path.is_file() else None
-
-
-# Each light that is drawn asks for it.
-@lru_cache(maxsize=8)
-def _read(path: Path, modified_ns: int) -> np.ndarray | None:
-    try:
-        found = np.array(parse_json(path.read_bytes()), dtype=float)
-    except (OSError, ValueError, TypeError):
-        return None
-    return found if found.shape == (len(_WAVELENGTH_NM), 3) else None
+    match spectrum:
+        case PeakSpectrum():
+            shape = SpectralShape(FIRST_NM, LAST_NM, 1)
+            power = sd_gaussian_fwhm(spectrum.peak_nm, spectrum.width_nm, shape).values
+        case TableSpectrum():
+            power = np.interp(_WAVELENGTH_NM, spectrum.wavelength_nm, spectrum.power, left=0, right=0)
+        case WhiteSpectrum():
+            visible = (VISIBLE_NM[0] <= _WAVELENGTH_NM) & (VISIBLE_NM[1] >= _WAVELENGTH_NM)
+            power = np.where(visible, planck_law(_WAVELENGTH_NM * 1e-9, spectrum.cct_k), 0)
+    total = power.sum()
+    if total <= 0:
+        raise ValueError(f"the spectrum {spectrum!r} has no power between {FIRST_NM} and {LAST_NM} nm")
+    return power / total

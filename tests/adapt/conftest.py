@@ -3,7 +3,7 @@
 import pytest
 
 from gelgap.adapt import ForceModel, Profile
-from gelgap.adapt.data import split_for_training
+from gelgap.adapt.split import split_for_training
 from gelgap.adapt.trainer import train_source
 from gelgap.data import ArrayFrames
 

@@ -5,10 +5,11 @@ import pytest
 import torch
 
 from gelgap.adapt import ForceModel, Profile, adapt, train_source
-from gelgap.adapt.data import network_inputs, size_notes
+from gelgap.adapt.data import network_inputs
 from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
 from gelgap.adapt.model import input_map
+from gelgap.adapt.split import size_notes
 from gelgap.data import ArrayFrames, LabelledFrames, join_domains, with_labels
 from gelgap.render import Camera
 
@@ -58,7 +59,7 @@ def test_the_calibrated_channels_are_the_slopes():
 
 
 def test_a_small_part_of_the_view_is_noted_where_markers_are_shown(monkeypatch):
-    monkeypatch.setattr("gelgap.adapt.data.rest_markers", lambda *args: iter(()))
+    monkeypatch.setattr("gelgap.adapt.split.rest_markers", lambda *args: iter(()))
     near, far = (
         ArrayFrames(
             name, np.zeros((2, 48, 64, 3), np.uint8), np.zeros((48, 64, 3), np.uint8), None, camera=camera

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from gelgap.adapt import Method, Profile
-from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.evaluation import BASELINES, CONSTANT, evaluate_baselines
 from gelgap.adapt.methods.base import MethodSettings, Step, loss_of
 from gelgap.adapt.methods.registry import make_method
+from gelgap.adapt.split import SplitFrames
 from gelgap.data import ArrayFrames
 
 

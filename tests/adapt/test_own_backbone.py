@@ -112,12 +112,16 @@ def test_a_profile_finds_the_file_beside_it_and_the_command_line_takes_it(own_fi
     [
         (
             "absent.py:maps",
-            r"backbone 'absent\.py:maps': absent\.py could not be imported \(FileNot",
+            r"backbone 'absent\.py:maps': absent\.py could not be run \(FileNot",
         ),
         ("net.py:number", "number is not a function of"),
         ("net.py:nothing", "it makes NoneType, not a torch.nn.Module"),
         ("net.py:one_number", r"returns \(\d+,\) for 2 pictures \(3, 32, 40\); \(2, features\) or"),
-        ("vgg", "backbone 'vgg' is unknown; known: resnet18, resnet50, file.py:make_backbone"),
+        ("vgg", "backbone 'vgg' is unknown; known: resnet18, resnet50, FILE.py:FUNCTION"),
+        (
+            "torch.nn:Linear",
+            r"'torch\.nn:Linear' has left: gelgap 0\.3\.0 .* name its file, FILE.py:FUNCTION",
+        ),
     ],
 )
 def test_what_is_no_feature_extractor_is_refused(name, message, profile):

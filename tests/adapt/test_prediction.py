@@ -166,8 +166,8 @@ def test_a_camera_gives_pictures_in_rgb_or_is_an_error(monkeypatch, tmp_path):
 
 
 def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, stage1, tmp_path):
-    monkeypatch.setattr("gelgap.adapt.onnx_file.find_spec", lambda name: None if name == "onnx" else name)
-    with pytest.raises(ValueError, match=r"needs the package onnx; install it .* 'gelgap\[onnx"):
+    monkeypatch.setattr("gelgap.assets.extras.find_spec", lambda name: None if name == "onnx" else name)
+    with pytest.raises(ValueError, match=r"needs the package onnx; install with: .* 'gelgap\[onnx"):
         export_onnx(stage1, tmp_path / "model.onnx")
 
 

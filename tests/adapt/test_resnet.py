@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.data import split_for_training
 from gelgap.adapt.network import ResNet, load_imagenet_weights
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import adapt_folders, run_key
+from gelgap.adapt.split import split_for_training
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])

@@ -49,13 +49,13 @@ def test_a_target_without_labels_is_adapted_to_as_a_whole(source, target, short,
         np.testing.assert_allclose([at[1] for at in run.label_free.quantiles.values()], middle, atol=1e-4)
     plain, adabn, constant = (run.label_free for run in runs)
     assert plain.scores == plain.scores_before == adabn.scores_before
-    assert adabn.scores["feature MMD"] != plain.scores["feature MMD"]
+    assert adabn.scores["feature-mmd"] != plain.scores["feature-mmd"]
     assert (plain.alarm, constant.alarm, constant.scores_before) == (False, True, {})
-    text = write_report(tmp_path).with_suffix(".md").read_text()
-    assert "| mb0i0 → alone | before | 0 |" in text
+    text = write_report(tmp_path).read_text()
+    assert "<td>mb0i0 → alone</td><td>before</td><td>0</td>" in text
     assert "constant-mean on mb0i0 → alone may predict a constant" in text
-    assert "predicted-mb0i0-alone.png" in text
-    assert "nan" not in text
+    assert "how often which force are predicted" in text
+    assert ">nan<" not in text
 
 
 def test_methods_that_need_labels_of_the_target_are_refused_before_any_work(source, target, short, tmp_path):
@@ -136,7 +136,7 @@ def test_errors_are_of_the_labelled_frames(source, target, stage1):
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_target_needs_two_pictures(source, target, short, count):
     few = pictures(target.take(np.arange(count)), "few")
-    methods = ["source-only", "adabn", "dan", "dann", "rsd", "daregram"]
+    methods = ["source-only", "adabn", "dan", "dann", "daregram"]
     if count == 1:
         with pytest.raises(
             ValueError, match="target few: 1 of 1 pictures would be trained on; adaptation needs 2"
@@ -167,11 +167,11 @@ def test_several_targets_and_profiles_share_stage_1_and_one_run_is_chosen_for_ea
         for profile in ("test", "longer")
         for method in ("source-only", "dan")
     ]
-    table = selection_table(runs, "reverse-validation")
+    table = selection_table(runs, "feature-mmd")
     for _, group in table.groupby("group"):
         assert group["chosen"].sum() == 1
-        assert group["reverse validation"][group["chosen"]].item() == group["reverse validation"].min()
-    text = write_report(tmp_path).with_suffix(".md").read_text()
+        assert group["feature-mmd"][group["chosen"]].item() == group["feature-mmd"].min()
+    text = write_report(tmp_path).read_text()
     assert "dan, longer" in text
     with pytest.raises(ValueError, match="alone, alone: results are filed by name"):
         adapt_folders(source, 2 * [pictures(tinted, "alone")], ["adabn"], short)
@@ -216,4 +216,4 @@ def test_labels_that_do_not_vary_have_no_r2(source, target, short, capsys, tmp_p
     (run,) = adapt_folders(source, same, ["adabn"], short, out_dir=tmp_path)
     assert np.isnan(run.target_test.r2).all()
     assert np.isnan(load_run(run.folder).target_test.r2).all()
-    assert "nan" not in write_report(tmp_path).with_suffix(".md").read_text()
+    assert ">nan<" not in write_report(tmp_path).read_text()

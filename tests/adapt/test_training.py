@@ -4,6 +4,7 @@ import copy
 import re
 import resource
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -17,18 +18,18 @@ from gelgap.adapt.data import (
     epoch_order,
     network_inputs,
     normalised_labels,
-    split_for_training,
     steps_per_epoch,
 )
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import Method
-from gelgap.adapt.methods.registry import find_method, make_method, method_code, method_names, register
+from gelgap.adapt.methods.registry import OWN_METHODS, OwnMethod, find_method, make_method, method_names
 from gelgap.adapt.model import ForceModel, estimate_statistics
 from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_folders, run_key, stage1_key, stage1_profile
+from gelgap.adapt.split import split_for_training
 from gelgap.adapt.trainer import adapt, batches_of, train_source, untrained
 from gelgap.data import ArrayFrames, join_domains
 
@@ -279,22 +280,43 @@ def test_source_frames_of_one_class_are_too_few(source, target, profile):
         adapt(model, one_class, target, "dsan")
 
 
-def test_own_method(stage1, source, target):
+@pytest.fixture
+def own_method(monkeypatch):
+    """Make a class known as the method of a file."""
+    return lambda name, kind: monkeypatch.setitem(OWN_METHODS, name, OwnMethod(kind, "code"))
+
+
+def test_own_method(stage1, source, target, own_method):
     class MeanMatching(Method):
         """Squared distance of the feature means."""
 
         def transfer_loss(self, source, target):
             return (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
 
-    register("mean-matching-in-a-test", MeanMatching)
-    model = adapt(stage1, source, target, "mean-matching-in-a-test")
+    own_method("mean-matching", MeanMatching)
+    model = adapt(stage1, source, target, "mean-matching")
     assert "transfer" in model.history[-1]["losses"]
-    with pytest.raises(ValueError, match="is taken"):
-        register("dsan", MeanMatching)
-    assert method_code("mean-matching-in-a-test")
 
 
-def test_an_own_adaptation_is_given_pictures_alone(stage1, source, target):
+def test_a_method_is_asked_before_it_is_made(stage1, source, target, own_method):
+    class Late(Method):
+        def __init__(self, *given):
+            super().__init__(*given)
+            self.uses_target_labels = True
+
+    class Hooked(Method):
+        def augment_source(self, inputs, target, step):
+            return inputs
+
+    own_method("late", Late)
+    with pytest.raises(ValueError, match="method late: uses_target_labels must be an attribute of the class"):
+        adapt(stage1, source, target, "late")
+    own_method("hooked", Hooked)
+    with pytest.raises(ValueError, match=r"augment_source' has left: gelgap 0\.3\.0 is the last version"):
+        adapt(stage1, source, target, "hooked")
+
+
+def test_an_own_adaptation_is_given_pictures_alone(stage1, source, target, own_method):
     class Peeping(Method):
         def adapt(self, adaptation):
             shown = adaptation.target_pictures()
@@ -305,7 +327,7 @@ def test_an_own_adaptation_is_given_pictures_alone(stage1, source, target):
             assert np.array_equal(adaptation.source_labels, normalised_labels(source))
             seen.append(shown)
 
-    register("peeping", Peeping)
+    own_method("peeping", Peeping)
     seen = []
     adapt(stage1, source, target, "peeping")
     assert len(seen) == 1
@@ -321,7 +343,7 @@ def test_a_source_among_several_that_is_the_target_is_refused_where_its_test_fra
     assert not set(frames.source_train.point_id) & set(frames.target_test.point_id)
 
 
-def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, target):
+def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, target, own_method):
     class Broken(Method):
         calls = 0
 
@@ -329,7 +351,7 @@ def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, 
             Broken.calls += 1
             return source.features.sum() * (float("nan") if Broken.calls <= bad else 0.0)
 
-    register("broken", Broken)
+    own_method("broken", Broken)
     bad = 3
     model = adapt(stage1, source, target, "broken")
     assert sum(record["skipped_steps"] for record in model.history) == 3
@@ -339,12 +361,14 @@ def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, 
         adapt(stage1, source, target, "broken", stage1.profile.replace(adapt_epochs=5))
 
 
-def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target, profile, tmp_path):
+def test_a_method_that_collapses_is_recorded_and_the_others_go_on(
+    source, target, profile, tmp_path, own_method
+):
     class Collapsing(Method):
         def transfer_loss(self, source, target):
             return 1e3 * source.features.var(dim=0).sum()
 
-    register("collapsing", Collapsing)
+    own_method("collapsing", Collapsing)
     long = profile.replace(adapt_epochs=10)
     methods = ["adabn", "collapsing", "source-only"]
     runs = adapt_folders(source, target, methods, long, out_dir=tmp_path)
@@ -356,7 +380,7 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target
     assert adapt_folders(source, target, methods, long, out_dir=tmp_path, progress=pytest.fail) == runs
     with pytest.raises(RuntimeError, match=r"collapsing has no predictions: .*features collapsed"):
         load_predictions(runs[1])
-    report = write_report(tmp_path).with_suffix(".md").read_text()
+    report = unescape(write_report(tmp_path).read_text())
     assert "Failed, and counted with the source's mean force: collapsing on mb0i0 → wmb1i1, seed 0" in report
 
 
@@ -449,7 +473,7 @@ def test_a_wrong_setting_of_a_method_is_an_error_before_any_work(source, target,
             adapt_folders(source, target, ["source-only", "daregram"], wrong, progress=pytest.fail)
 
 
-@pytest.mark.parametrize("name", ["smoke", "cpu", "board", "paper"])
+@pytest.mark.parametrize("name", ["smoke", "cpu", "benchmark", "paper"])
 def test_presets(name):
     profile = Profile.preset(name)
     assert profile.name == name
@@ -458,9 +482,11 @@ def test_presets(name):
 
 def test_bad_profiles():
     with pytest.raises(
-        ValueError, match=r"profile preset 'big' is unknown; known presets: board, cpu, paper, smoke"
+        ValueError, match=r"profile preset 'big' is unknown; known presets: benchmark, cpu, paper, smoke"
     ):
         Profile.preset("big")
+    with pytest.raises(ValueError, match=r"'board' has left: gelgap 0\.3\.0 .*; it is called benchmark"):
+        Profile.preset("board")
     with pytest.raises(ValueError, match="add up to 1"):
         Profile(target_split=(0.6, 0.3, 0.3))
     with pytest.raises(ValueError, match=r"image_size_px.0 = 16: input should be greater than"):

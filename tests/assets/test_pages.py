@@ -1,6 +1,6 @@
 """Pages that are read on a phone: pictures can be enlarged, tables scroll, and nothing comes from elsewhere."""
 
-from gelgap.assets import html_page
+from gelgap.assets.pages import html_page
 
 
 def test_pictures_of_a_page_can_be_enlarged_without_a_script() -> None:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from gelgap.assets import progress as module
-from gelgap.assets.progress import shown_progress, silent
+from gelgap.assets.progress import hidden_progress, shown_progress
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_blocks_within_a_block_share_its_display_and_threads_have_none(capsys):
             with shown_progress() as shown:
                 return shown
 
-        assert pool.submit(in_thread).result() is silent
+        assert pool.submit(in_thread).result() is hidden_progress
     with shown_progress() as later:
         assert later is not outer
 

@@ -1,6 +1,5 @@
 """What all studies share: records by the hash of their settings, workers, arrays, bootstrap, tables."""
 
-import json
 import math
 import signal
 import subprocess
@@ -13,7 +12,7 @@ import pandas as pd
 import pytest
 
 from gelgap.adapt.result_table import ResultTable
-from gelgap.benchmarks.common import drawn_means, interval, key_of, read_records, run_missing, write_json
+from gelgap.benchmarks.common import drawn_means, interval, key_of, read_records, run_missing, write_records
 
 GRID = [{"size": size, "ways": ("a", "b"), "seed": 0} for size in (3, 1, 2)]
 STUDY = """
@@ -202,12 +201,19 @@ def test_tables_show_numbers_ranges_and_what_is_not_there():
     )
     table = ResultTable.of("Errors", frame, "a note", {"error": "{:.1f} %", "interval": "{:+.2f}"})
     assert list(table.columns) == ["method", "error", "interval", "n", "ok"]
-    assert table.rows == [["dan", "0.1 %", "+0.10…+0.20", 1, True], ["dsan", None, None, 2, None]]
-    assert ResultTable.of("Errors", frame.reset_index(drop=True)).rows[0][0] == 0.12345
+    assert table.cells == [["dan", "0.1 %", "+0.10…+0.20", "1", "yes"], ["dsan", "–", "–", "2", "–"]]
+    assert ResultTable.of("Errors", frame.reset_index(drop=True)).cells[0][0] == "0.1235"
 
 
-def test_results_are_written_as_json(tmp_path):
-    frame = pd.DataFrame({"name": ["a"], "value": [np.float32(0.5)]})
-    write_json(tmp_path / "new" / "results.json", {"table": frame, "array": np.ones(2)})
-    found = json.loads((tmp_path / "new" / "results.json").read_text())
-    assert found == {"table": [{"name": "a", "value": 0.5}], "array": [1.0, 1.0]}
+def test_a_table_is_written_as_records(tmp_path):
+    frame = pd.DataFrame(
+        {"name": ["a", "b"], "value": [np.float32(0.5), math.nan], "levels": [(1.0, 2.0), (3.0,)]}
+    )
+    write_records(tmp_path / "new" / "results.jsonl", frame, ("name",))
+    found = read_records(tmp_path / "new" / "results.jsonl")
+    assert found["name"].tolist() == ["a", "b"]
+    assert found["levels"].tolist() == [(1.0, 2.0), (3.0,)]
+    assert found["value"].iloc[0] == 0.5
+    assert math.isnan(found["value"].iloc[1])
+    write_records(tmp_path / "new" / "results.jsonl", frame[:1], ("name",))
+    assert len(read_records(tmp_path / "new" / "results.jsonl")) == 1

@@ -1,6 +1,5 @@
 """The benchmark of whatever sets of presses are in a folder, on one that gelgap itself rendered."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks import sensor_sets
+from gelgap.benchmarks.common import read_records
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.calibrate.profiles import PressProfiles, SolvedPress
 from gelgap.render import Markers, MembraneRenderer, Sensor
@@ -58,8 +58,8 @@ def test_folders_of_ones_own_are_predicted_or_refused_with_the_reason(tmp_path, 
     said = capsys.readouterr().out
     assert "scarce is refused" in said
     assert "torn is refused" in said
-    found = json.loads((tmp_path / "out" / "sensor-sets.json").read_text())
-    ring = {(row["set"], row["model"]): row["ring"] for row in found["predictions"]}
+    found = read_records(tmp_path / "out" / "sensors.jsonl")
+    ring = found.set_index(["set", "model"])["ring"].to_dict()
     assert {name for name, _ in ring} == {"mine"}
     unchanged, *_, marked, refined = (np.median(ring["mine", model]) for model in sensor_sets.MODELS)
     assert min(marked, refined) > unchanged + 3

@@ -12,25 +12,22 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.calibrate.calibrator import (
     LightTask,
     _at_limits,
-    _predicts_better,
     _suspects,
     calibrate_light,
-    held_out_parts,
-    save_calibration,
-    table_share,
 )
+from gelgap.calibrate.check import _predicts_better, held_out_parts, table_share
 from gelgap.calibrate.fit import LightFit
 from gelgap.calibrate.light import Bars, SeenPoints
-from gelgap.calibrate.membranes import lit_from_dents
 from gelgap.calibrate.pictures import PressPicture
 from gelgap.calibrate.poses import place_presses
 from gelgap.calibrate.profiles import PressProfiles, SolvedPress
-from gelgap.render.camera import Camera
+from gelgap.calibrate.residual import fitted_residual, residual_around
+from gelgap.calibrate.sensor_file import save_calibration
+from gelgap.calibrate.start import lit_from_dents
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
-from gelgap.render.imaging import srgb_decode, srgb_encode
+from gelgap.render.imaging import Camera, srgb_decode, srgb_encode
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import Scattered
-from gelgap.render.normal_table import BallResidual
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
 
@@ -515,7 +512,7 @@ def test_what_a_fit_leaves_around_balls_draws_a_press_that_it_has_not_seen(pictu
     fit, pose = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(5)), placed.poses_mm[5]
     away = (placed.seen(5, pose).positions[:, :2] - pose[:2]) / own.contact_radius_mm(0.6)
     contact = np.array([*pose[:2] / placed.half_view_mm, own.contact_radius_mm(0.6)])
-    left = fit.ball_residual(0.0).around(away, contact)
+    left = residual_around(fit.ball_residual(0.0), away, contact)
     plain = placed.picture_of(fit.light, fit.field, 5, pose, 20.0)
     gain_db = np.subtract(placed.scores(5, plain + left.reshape(plain.shape)), placed.scores(5, plain))
     assert gain_db.min() > 2, gain_db
@@ -531,10 +528,10 @@ def test_what_is_left_changes_over_the_radius_of_enough_contacts_and_no_further_
         contacts = np.column_stack([np.zeros((count, 2)), np.linspace(1.0, 1.2, count)])
         index, points = np.repeat(np.arange(count), 300), np.random.default_rng(0).uniform(-2, 2, (300, 2))
         left = np.repeat(50 * (contacts[index, 2:] - 1.1), 3, axis=1)
-        residual = BallResidual.fitted(
+        residual = fitted_residual(
             3.0, contacts, index, np.tile(points, (count, 1)), left, np.ones_like(left)
         )
-        return residual.around(np.full((1, 2), 0.5), np.array([0.0, 0.0, radius_mm]))[0, 0]
+        return residual_around(residual, np.full((1, 2), 0.5), np.array([0.0, 0.0, radius_mm]))[0, 0]
 
     assert left_at(1.2, 8) == pytest.approx(left_at(1.3, 8)) == pytest.approx(5, rel=0.2)
     assert left_at(1.1, 8) == pytest.approx(0, abs=0.1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelgap.calibrate.membranes import INSTALL, taxim_presses
+from gelgap.calibrate.taxim_sets import INSTALL, taxim_presses
 
 
 def parts(n=3):
@@ -67,6 +67,6 @@ def test_other_files_are_refused(tmp_path, change):
 def test_a_missing_package_or_folder_is_said(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match=r"dataPack\.npz does not exist"):
         taxim_presses(str(tmp_path))
-    monkeypatch.setattr("gelgap.calibrate.membranes.find_spec", lambda name: None)
+    monkeypatch.setattr("gelgap.calibrate.taxim_sets.find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match=INSTALL.replace("==", ".*")):
         taxim_presses("gelsight")

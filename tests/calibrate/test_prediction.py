@@ -8,10 +8,10 @@ import pytest
 
 from gelgap.calibrate import prediction
 from gelgap.calibrate.prediction import predict_presses
+from gelgap.calibrate.residual import fitted_residual
 from gelgap.cli.main import main
 from gelgap.render import Markers, MembraneRenderer, Sensor, save_sensor
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
-from gelgap.render.normal_table import BallResidual
 from gelgap.sim import Pose, load_indenter, solve_pose
 from tests.calibrate.test_press_folder import BALL_MM, DEPTH_MM, EXTENT_MM, SIZE_PX, profiles
 
@@ -75,7 +75,7 @@ def test_a_ball_is_drawn_with_what_the_fit_left_around_it_and_another_without(
     cv2.imwrite(str(tmp_path / "a.png"), np.clip(picture[..., ::-1] + 3.0, 0, 255))
     contacts = np.array([[0.0, 0.0, own.contact_radius_mm(DEPTH_MM)]])
     index, away, left = np.zeros(4000, int), rng.uniform(-2.6, 2.6, (4000, 2)), np.full((4000, 3), 3.0)
-    residual = BallResidual.fitted(BALL_MM, contacts, index, away, left, np.ones((4000, 3)))
+    residual = fitted_residual(BALL_MM, contacts, index, away, left, np.ones((4000, 3)))
     fitted = tmp_path / "fitted.toml"
     save_sensor(sensor.model_copy(update={"ball_residual": residual}), fitted)
     press = f'{BALL}point_mm = [0.0, 0.0]\npicture = "a.png"\ndepth_mm = '

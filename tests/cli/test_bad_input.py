@@ -87,3 +87,12 @@ def test_the_layouts_of_export_and_convert_are_those_that_there_are() -> None:
     published = import_module("gelgap.data.formats.published_sets").LAYOUTS
     own = import_module("gelgap.data.formats.convert").LAYOUTS
     assert options_of("convert", "layout") == set(own) | set(published)
+
+
+@pytest.mark.parametrize(("name", "option"), [(n, o) for n, one in COMMANDS.items() for o in one.former])
+def test_what_former_versions_took_is_one_sentence_with_the_last_of_them(
+    name: str, option: str, refused: Callable[..., str]
+) -> None:
+    said = refused(name, *option.split())
+    assert f"gelgap 0.3.0 was the last with {option}: " in said
+    assert said == refused(name, option.replace(" ", "="))

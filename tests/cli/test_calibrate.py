@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.calibrate.calibrator import HeldOut, LightCalibration
+from gelgap.calibrate.check import HeldOut
 from gelgap.calibrate.pictures import PressPicture, read_presses
 from gelgap.calibrate.prediction import PredictedPress
-from gelgap.cli.calibrate import doubt_of_scale, prediction_lines
+from gelgap.calibrate.report import doubt_of_scale, prediction_lines
+from gelgap.calibrate.sensor_file import LightCalibration
 from gelgap.cli.main import main
 from gelgap.render import Camera, Sensor
 from gelgap.render.flat_field import FlatFieldMaps
@@ -102,7 +103,7 @@ def test_what_makes_a_fit_doubtful_is_said(
     given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
     fit = fitted_light()
     bad = HeldOut("press 2 (q.png)", (18, 24), (29, 30), (30, 21.5), (33, 34), fit.held_out[0].picture)
-    monkeypatch.setattr("gelgap.cli.calibrate.held_out_pairs", lambda *_: [])
+    monkeypatch.setattr("gelgap.calibrate.report.held_out_pairs", lambda *_: [])
     for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
         found = replace(fit, held_out=held_out, at_limits=limits)
         monkeypatch.setattr(

@@ -1,13 +1,16 @@
 """`--set KEY=VALUE`: what TOML files say, key by key, with one sentence for what nothing has."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from gelgap.cli.adapt import profile_keys
+from gelgap.cli.contact_keys import body_keys, gel_keys
 from gelgap.cli.generate import Generate
-from gelgap.cli.keys import body_keys, gel_keys, given, profile_keys
-from gelgap.cli.main import main
+from gelgap.cli.keys import given
+from gelgap.cli.main import COMMANDS, main
 from gelgap.sim import Box, Elastomer, load_indenter
 from gelgap.sim.shapes import BODIES, fields_of
 
@@ -88,3 +91,18 @@ def test_a_domain_is_made_with_a_gel_that_is_set(refused: Callable[..., str], tm
     assert "--name is missing" in refused(*generate, "--set", "young_modulus_mpa=0.5")
     several = ("--indenter", "box", "sphere", "--set", "size_mm=3,2")
     assert "is a size of which of the 2 indenters?" in refused(*generate, *several)
+
+
+@pytest.mark.parametrize("name", [name for name, command in COMMANDS.items() if command.keys()])
+def test_each_command_lists_the_keys_that_it_takes_and_no_others(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main([name, "--help"])
+    said = capsys.readouterr().out.partition("Keys of --set")[2].partition("╭")[0]
+    listed = set(re.findall(r"^  (\w+)  ", said, re.MULTILINE))
+    keys = COMMANDS[name].keys()
+    assert listed == {key for meanings in keys.values() for key in meanings}
+    for key in listed:
+        (values,) = filter(None, given(((f"{key}=1",),), keys).values())
+        assert values == {key: 1}

@@ -2,7 +2,6 @@
 
 import json
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -139,8 +138,7 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     (tmp_path / "own.py").write_text(METHOD)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registry, "EXTRA", {})
-    monkeypatch.setattr(registry, "_CODE", {})
+    monkeypatch.setattr(registry, "OWN_METHODS", {})
     return tmp_path
 
 
@@ -181,7 +179,7 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
     other = pictures / "other"
     other.mkdir()
     (other / "own.py").write_text(METHOD.replace("0.5", "0.7"))
-    monkeypatch.setattr(registry, "EXTRA", {})
+    monkeypatch.setattr(registry, "OWN_METHODS", {})
     registry.use_method("other/own.py:Half")
     assert before is not None
     assert registry.method_code("own.Half") != before
@@ -201,11 +199,14 @@ def test_code_that_changed_in_the_meantime_runs_as_it_is_now(pictures: Path) -> 
 @pytest.mark.parametrize(
     ("method", "words"),
     [
-        ("beside.py:Half", "No module named 'own'); name a module or a .py file, and what it defines; files"),
+        ("beside.py:Half", "No module named 'own'); name a .py file, and what it defines; files"),
         ("own.py", "FILE.py:CLASS"),
-        ("absent.py:Half", "absent.py could not be imported (FileNotFoundError"),
+        ("absent.py:Half", "absent.py could not be run (FileNotFoundError"),
         ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),
         ("own.py:number", "number is not a class"),
+        ("own:Half", "has left: gelgap 0.3.0 is the last version that has it; name its file, FILE.py:CLASS"),
+        ("rsd", "method 'rsd' has left: gelgap 0.3.0 is the last version that has it"),
+        ("fourier-style", "method 'fourier-style' has left: gelgap 0.3.0 is the last version that has it"),
     ],
 )
 def test_no_method_is_bad_input(method: str, words: str, pictures: Path, refused: Callable[..., str]) -> None:
@@ -214,21 +215,22 @@ def test_no_method_is_bad_input(method: str, words: str, pictures: Path, refused
     assert not (pictures / "runs").exists()
 
 
-def test_an_installed_package_offers_its_methods(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (pictures / "offered_methods.py").write_text(METHOD)
+def test_a_method_of_an_installed_package_is_named_with_its_file_now(
+    pictures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     metadata = pictures / "offered-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[gelgap.methods]\nhalf = offered_methods:Half\n")
     monkeypatch.syspath_prepend(str(pictures))
-    registry.installed_methods.cache_clear()
-    try:
-        assert "half" in registry.method_names()
-        assert registry.find_method("half").__name__ == "Half"
-        assert registry.method_code("half")
-    finally:
-        registry.installed_methods.cache_clear()
-        sys.modules.pop("offered_methods", None)
+    with pytest.raises(
+        ValueError, match=r"'half' has left: gelgap 0\.3\.0 .*; name its file, FILE\.py:CLASS"
+    ):
+        registry.find_method("half")
+    with pytest.raises(
+        ImportError, match=r"register has left: gelgap 0\.3\.0 is the last version that has it"
+    ):
+        from gelgap.adapt import register  # noqa: F401
 
 
 def test_the_constant_mean_trains_nothing_and_stands_once_in_the_table(

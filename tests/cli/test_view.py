@@ -17,7 +17,7 @@ VIEW = ("view", "--no-browser")
 def test_without_viser_it_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
-    monkeypatch.setattr("gelgap.cli.view.find_spec", lambda name: None)
+    monkeypatch.setattr("gelgap.assets.extras.find_spec", lambda name: None)
     assert "pip install 'gelgap[view]'" in refused(*VIEW)
 
 

@@ -1,18 +1,13 @@
 """Exports are read back with the loader of their own format, with the same labels and pictures."""
 
-import json
-import tarfile
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from gelgap.assets.checksums import file_sha256
-from gelgap.assets.image_file import read_image
 from gelgap.cli.main import main
 from gelgap.data.formats.export import export
-from gelgap.data.formats.pictures import encode_png
 from gelgap.data.frames.folders import open_domain
 from gelgap.domains import generate
 from gelgap.sim import ContactPath
@@ -32,27 +27,6 @@ def test_the_papers_layout_is_read_back_with_the_same_labels(data: Path, tmp_pat
     assert len(list(unsplit.glob("*.jpg"))) == 26
 
 
-def test_webdataset_reads_pictures_and_labels_and_tars_are_the_same_each_time(
-    data: Path, tmp_path: Path, caplog
-):
-    import webdataset
-
-    for name, split_by in {"one": None, "two": "given"}.items():
-        export(data, "webdataset", tmp_path / name, split_by=split_by)
-    assert "mb0i0: tars hold no contact_mask, height_map, marker_px" in caplog.text
-    files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
-    for path in files:
-        assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes()
-    original = open_domain(data / "mb0i0")
-    tars = [str(path) for path in (tmp_path / "one" / "mb0i0").glob("*.tar")]
-    loaded = webdataset.WebDataset(tars, shardshuffle=False, empty_check=False).decode("rgb8")
-    samples = {sample["json"]["frame_id"]: sample for sample in loaded}
-    assert len(samples) == 26
-    index = int(np.flatnonzero(original.columns["frame_id"] == 7)[0])
-    assert np.array_equal(samples[7]["png"], original.picture(index))
-    assert samples[7]["json"]["fz_n"] == original.force_n[index, 2]
-
-
 def test_the_hugging_face_folder_loads_by_its_card(data: Path, tmp_path: Path):
     import datasets
 
@@ -70,34 +44,11 @@ def test_the_hugging_face_folder_loads_by_its_card(data: Path, tmp_path: Path):
     assert "`elastic_energy_mj`" in card
 
 
-def test_the_croissant_metadata_names_every_file_and_column_and_is_valid(data: Path, tmp_path: Path):
-    export(data, "huggingface", tmp_path / "out", license="cc-by-4.0")
-    metadata = json.loads((tmp_path / "out/croissant.json").read_text(encoding="utf-8"))
-    files = {file["contentUrl"]: file["sha256"] for file in metadata["distribution"]}
-    there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").glob("*/*")}
-    assert files.keys() == there
-    assert files["mb0i0/reference.png"] == file_sha256(tmp_path / "out/mb0i0/reference.png")
-    fields = {
-        part["name"]: {field["name"]: field["description"] for field in part["field"]}
-        for part in metadata["recordSet"]
-    }
-    assert fields["mb0i1/test"]["fz_n"] == "the same; ≤ 0 in compression, N"
-    assert {"height_map", "marker_px", "residual", "traction_n", "tz_n_mm"} <= fields["mb0i0/train"].keys()
-    croissant = pytest.importorskip("mlcroissant")
-    dataset = croissant.Dataset(jsonld=tmp_path / "out/croissant.json")
-    assert not dataset.metadata.issues.errors
-    assert dataset.metadata.license == ["cc-by-4.0"]
-    (row, *others) = dataset.records("mb0i0/test")
-    assert len(others) == 4
-    original = open_domain(data / "mb0i0")
-    index = int(np.flatnonzero(original.columns["frame_id"] == row["mb0i0/test/frame_id"])[0])
-    assert row["mb0i0/test/fz_n"] == pytest.approx(original.force_n[index, 2])
-    assert np.array_equal(np.asarray(row["mb0i0/test/image"]), original.picture(index))
-
-
 def test_an_unknown_format_and_a_full_folder_are_refused(data: Path, tmp_path: Path):
-    with pytest.raises(ValueError, match="known formats: paper, webdataset, huggingface"):
+    with pytest.raises(ValueError, match="known formats: paper, huggingface"):
         export(data, "lerobot", tmp_path / "out")
+    with pytest.raises(ValueError, match=r"gelgap 0\.3\.0 was the last with format webdataset: huggingface"):
+        export(data, "webdataset", tmp_path / "out")
     (tmp_path / "something").touch()
     with pytest.raises(ValueError, match="is not empty"):
         export(data, "paper", tmp_path)
@@ -127,7 +78,7 @@ def test_the_layout_of_generated_frames_refuses_other_data_in_one_sentence(data:
     assert not (tmp_path / "out").exists()
 
 
-def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: Path):
+def test_a_format_of_one_reference_refuses_several(tmp_path: Path):
     (tmp_path / "own").mkdir()
     for shade, name in enumerate(("a.png", "b.bmp", "rest-a.png", "rest-b.png")):
         cv2.imwrite(str(tmp_path / "own" / name), np.full((8, 8, 3), 10 * shade, np.uint8))
@@ -135,13 +86,6 @@ def test_frames_keep_references_of_their_own_or_the_format_is_refused(tmp_path: 
     (tmp_path / "own" / "table.csv").write_text(rows)
     with pytest.raises(ValueError, match="own has several references, paper one"):
         export(tmp_path / "own", "paper", tmp_path / "paper")
-    (folder,) = export(tmp_path / "own", "webdataset", tmp_path / "tars")
-    levels = [read_image(folder / name).mean() for name in ("reference.png", "reference-1.png")]
-    assert levels == [20, 30]
-    (tar,) = folder.glob("*.tar")
-    with tarfile.open(tar) as opened:
-        picture = opened.extractfile("000001.png").read()
-    assert picture == encode_png(np.full((8, 8, 3), 10, np.uint8))
 
 
 @pytest.mark.parametrize(

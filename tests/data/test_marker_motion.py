@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from gelgap.assets import list_presets
-from gelgap.assets.pinhole import Pinhole
+from gelgap.assets.pinhole import OF_LIGHT, Pinhole
 from gelgap.data import open_domain
 from gelgap.data.frames.marker_motion import MarkerTracker, ThinPlate
 from gelgap.render import Camera, Illumination, MembraneRenderer, Sensor, marker_rest_mm
@@ -99,11 +99,24 @@ def test_a_folder_of_pictures_says_how_many_mm_a_pixel_shows(tmp_path: Path):
     folder = open_domain(tmp_path)
     assert folder.cameras[0].footprint_mm((64, 48))[0] == pytest.approx(16)
     assert not folder.notes
-    (tmp_path / "sensor.toml").write_text("[camera]\nhorizontal_field_of_view_deg = 30.0\n")
+    (tmp_path / "sensor.toml").write_text(
+        "[camera]\nhorizontal_field_of_view_deg = 30.0\nexposure = 0.5\n[coating]\n"
+    )
     assert open_domain(tmp_path).take(np.array([1])).cameras[0] == Pinhole(horizontal_field_of_view_deg=30.0)
+    for wrong, problem in (
+        ("[camera]\nfield_of_view_deg = 30.0\n", "field_of_view_deg: extra inputs are not permitted"),
+        ("[camrea]\n", r"neither mm_per_px alone nor a sensor's table \[camera\]"),
+    ):
+        (tmp_path / "sensor.toml").write_text(wrong)
+        with pytest.raises(ValueError, match=f"sensor.toml: .*{problem}"):
+            open_domain(tmp_path).cameras  # noqa: B018
     (tmp_path / "sensor.toml").write_text("mm_per_px = true\n")
     with pytest.raises(ValueError, match=r"sensor.toml: mm_per_px = True: must be a number above 0"):
         open_domain(tmp_path).cameras  # noqa: B018
+
+
+def test_a_cameras_fields_are_geometry_or_of_light():
+    assert Camera.model_fields.keys() - Pinhole.model_fields.keys() == OF_LIGHT
 
 
 def test_every_pattern_fills_its_field_with_a_marker_for_each_square_of_a_pitch():

@@ -6,7 +6,8 @@ import pytest
 from gelgap.data.frames.folders import open_domain
 from gelgap.data.frames.splits import paired_contacts
 from gelgap.domains.generation.shard import trajectories
-from gelgap.domains.recipe import AcquisitionError, make_recipes, recipe_of
+from gelgap.domains.measured_gap import recipe_of
+from gelgap.domains.recipe import AcquisitionError, make_recipes
 from gelgap.sim import ContactPath
 
 

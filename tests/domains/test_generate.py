@@ -15,9 +15,9 @@ from gelgap.assets.locks import sole_use
 from gelgap.data.formats.domain_folder import DomainFolder
 from gelgap.data.frames.folders import open_domain
 from gelgap.data.frames.splits import split_frames
-from gelgap.domains.generation import cluster
+from gelgap.domains.generation import tasks
 from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
-from gelgap.domains.recipe import recipe_of
+from gelgap.domains.measured_gap import recipe_of
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Pose, PosePath
 from gelgap.sim.plan import SolvePlan
@@ -65,7 +65,7 @@ def test_each_light_is_made_once_a_batch_however_few_renderers_are_kept(
         return MembraneRenderer(*light)
 
     monkeypatch.setattr("gelgap.domains.generation.shard.KEPT_RENDERERS", 2)
-    monkeypatch.setattr("gelgap.domains.generation.shard._renderer", lru_cache(2)(renderer))
+    monkeypatch.setattr("gelgap.domains.renderers.kept_renderer", lru_cache(2)(renderer))
     make(tmp_path, ("mb0i0", "mb0i1", "mb0i2"))
     assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")
     # For the reference pictures, and for each of four batches.
@@ -144,14 +144,14 @@ def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
 
 
 def test_a_stopped_run_keeps_its_work(make, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch):
-    rendered = cluster.render_batch
+    rendered = tasks.render_batch
 
     def fails_at_the_third(batch, *rest):
         if batch.shard == "frames-00002.parquet":
             raise KeyboardInterrupt
         return rendered(batch, *rest)
 
-    monkeypatch.setattr(cluster, "render_batch", fails_at_the_third)
+    monkeypatch.setattr(tasks, "render_batch", fails_at_the_third)
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path)
     monkeypatch.undo()

@@ -14,7 +14,7 @@ from gelgap.domains import DomainRecipe, generate_recipes, make_recipes, preset_
 from gelgap.domains.generation.columns import LABEL_MAKERS
 from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.plan import plan_generation
-from gelgap.render.normal_table import BallResidual
+from gelgap.render.sensor import BallResidual
 from gelgap.sim import Cone, PosePath, Sphere
 
 PATH = PosePath.from_trajectories("two", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.1, 0.2)]}])

@@ -47,7 +47,7 @@ def checked(plan: LibraryPlan) -> PoseLibrary:
 
 def test_a_solved_pose_is_given_back(plan: LibraryPlan, checked: PoseLibrary) -> None:
     pose = plan.solved.poses[-1]
-    solved = plan.solved.solves[plan.solved.placements[-1].solve].run()
+    solved = {solve.key: solve.run() for solve in plan.solved.solves}
     exact, served = plan.solved.state(len(plan.solved.poses) - 1, solved), checked.state(GEL, pose)
     np.testing.assert_allclose(served.force_n, exact.force_n, rtol=1e-6, atol=1e-9)
     on_its_grid = checked.state(GEL, pose, axes_mm=(exact.x_mm, exact.y_mm))
@@ -236,8 +236,16 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
     at_the_edge = replace(random_path.poses[1], point_x_mm=11.0)
     path = PosePath("edge", (*random_path.poses, at_the_edge))
     contacts = Contacts.interpolated(GEL, Sphere(), path, "draft")
-    assert contacts.source_key(1) == contacts.library.key
-    assert contacts.source_key(len(path.poses) - 1) == contacts.own.solves[0].key
+    last = len(path.poses) - 1
+    assert 0 not in contacts.libraries
+    assert 0 not in contacts.plan.placements
+    assert sorted(contacts.libraries) == list(range(1, last))
+    assert list(contacts.plan.placements) == [last]
+    assert contacts.source_keys() == {contacts.libraries[1].key, contacts.plan.solves[0].key}
+    end = contacts.part(last - 1, last + 5)
+    assert end.poses == path.poses[last - 1 :]
+    assert list(end.libraries) == [0]
+    assert list(end.plan.placements) == [1]
 
 
 def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:

@@ -7,7 +7,7 @@ from gelgap.data.facts import unseen_differences
 from gelgap.domains.gap import domain_gap
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.domains.recipe import facts_of, make_recipes
-from gelgap.domains.sweep import Sweep, sweep_variants, write_sweep
+from gelgap.domains.sweep import Sweep
 from gelgap.render import Markers, Sensor
 
 
@@ -30,9 +30,9 @@ values = [true, false]
 
 
 def test_a_grid_crosses_its_factors_and_records_the_gap(tmp_path: Path):
-    variants = sweep_variants(load(tmp_path, GRID), size_px=(80, 60))
+    variants = load(tmp_path, GRID).variants(size_px=(80, 60))
     assert [variant.recipe.name for variant in variants] == ["mb0i0", *(f"soft-00{k}" for k in (1, 2, 3, 4))]
-    table = json.loads(write_sweep(variants, tmp_path / "out").read_text())
+    table = json.loads(Sweep.write_gaps(variants, tmp_path / "out").read_text())
     gaps = [domain["gap"] for domain in table["domains"].values()]
     assert [gap["modulus_ratio"] for gap in gaps] == [1, 0.5, 0.5, 2, 2]
     assert [gap["markers"] for gap in gaps] == ["equal", "equal", "removed", "equal", "removed"]
@@ -42,12 +42,12 @@ def test_a_grid_crosses_its_factors_and_records_the_gap(tmp_path: Path):
 
 def test_variants_that_differ_in_light_alone_share_all_their_solves(tmp_path: Path):
     text = 'base = "mb0i0"\n[[factors]]\nfield = "illumination.leds.*.drive"\nchange = "scale"\nvalues = [0.7, 1.2]\n'
-    variants = sweep_variants(load(tmp_path, text), size_px=(80, 60))
+    variants = load(tmp_path, text).variants(size_px=(80, 60))
     recipes = [variant.recipe for variant in variants]
     assert len(plan_generation(recipes).solves) == len(plan_generation(recipes[:1]).solves)
     drives = [[led.drive for led in recipe.illumination.leds] for recipe in recipes]
     assert drives[1] == pytest.approx([0.7 * drive for drive in drives[0]])
-    table = json.loads(write_sweep(variants, tmp_path / "out").read_text())
+    table = json.loads(Sweep.write_gaps(variants, tmp_path / "out").read_text())
     _, *gaps = (domain["gap"] for domain in table["domains"].values())
     assert min(gap["colour_difference"] for gap in gaps) > 1
 
@@ -69,13 +69,13 @@ def test_a_latin_hypercube_fills_its_ranges_and_repeats(tmp_path: Path):
     assert points == list(sweep.points())
     cells = sorted(int((point["elastomer.young_modulus_mpa"] - 0.2) / 0.1) for point in points)
     assert cells == list(range(8))
-    variant = sweep_variants(sweep)[1].recipe
+    variant = sweep.variants()[1].recipe
     assert variant.inpainted_from == "soft-001-with-markers"
 
 
 def test_one_at_a_time_changes_one_at_a_time(tmp_path: Path):
     sweep = load(tmp_path, GRID.replace('path = "smoke"', 'method = "one-at-a-time"'))
-    assert [len(variant.values) for variant in sweep_variants(sweep)] == [0, 1, 1, 1, 1]
+    assert [len(variant.values) for variant in sweep.variants()] == [0, 1, 1, 1, 1]
 
 
 @pytest.mark.parametrize(
@@ -94,12 +94,12 @@ def test_one_at_a_time_changes_one_at_a_time(tmp_path: Path):
 )
 def test_a_wrong_sweep_says_what_is_wrong(tmp_path: Path, old: str, new: str, message: str):
     with pytest.raises(ValueError, match=message):
-        sweep_variants(load(tmp_path, GRID.replace(old, new)))
+        load(tmp_path, GRID.replace(old, new)).variants()
 
 
 def test_leds_and_coat_are_drawn_around_the_base_and_repeat(tmp_path: Path):
     text = 'base = "mb0i0"\nsamples = 3\nseed = 5\n[variation]\nled_drive = 0.2\nyellowing = 0.5\n'
-    once, again = (sweep_variants(load(tmp_path, text), size_px=(80, 60)) for _ in range(2))
+    once, again = (load(tmp_path, text).variants(size_px=(80, 60)) for _ in range(2))
     assert [one.recipe for one in once] == [other.recipe for other in again]
     base, *drawn = [variant.recipe for variant in once]
     assert len({recipe.illumination.model_dump_json() for recipe in (base, *drawn)}) == 4
@@ -107,7 +107,7 @@ def test_leds_and_coat_are_drawn_around_the_base_and_repeat(tmp_path: Path):
     assert len(plan_generation((base, *drawn)).solves) == len(plan_generation([base]).solves)
     assert once[2].values == {"draw": 2}
     with_factor = text.replace("[variation]", "[[factors]]\nfield = 'markers'\nvalues = [false]\n[variation]")
-    (_, variant) = sweep_variants(load(tmp_path, with_factor), size_px=(80, 60))
+    (_, variant) = load(tmp_path, with_factor).variants(size_px=(80, 60))
     assert not variant.recipe.markers
     assert variant.recipe.illumination == drawn[0].illumination
     with pytest.raises(ValueError, match="needs factors, a variation, or both"):

@@ -1,5 +1,8 @@
 """Spectra, LEDs, sensors, drawn variations, and the colour gap."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +11,7 @@ from hypothesis import strategies as st
 from gelgap.assets import list_presets
 from gelgap.calibrate.pictures import PressPicture
 from gelgap.calibrate.profiles import SolvedPress
-from gelgap.render.camera import Camera
-from gelgap.render.imaging import picture_gap, point_spread
+from gelgap.render.imaging import Camera, picture_gap, point_spread
 from gelgap.render.light import spectra
 from gelgap.render.light.irradiance import direct_light
 from gelgap.render.light.leds import Illumination, Led, ShadowDetail, led_samples
@@ -19,7 +21,6 @@ from gelgap.render.light.spectra import (
     TableSpectrum,
     WhiteSpectrum,
     camera_rgb,
-    clear_led_cache,
 )
 from gelgap.render.renderer import MembraneRenderer, reference_gap
 from gelgap.render.sensor import Markers, Sensor, marker_rest_mm, save_sensor
@@ -57,34 +58,44 @@ def test_bad_spectra_are_refused():
         camera_rgb((TableSpectrum(wavelength_nm=(300, 350), power=(1, 1)),), NIKON, None)
 
 
-def test_white_light_is_that_of_colour_science():
-    colour = pytest.importorskip("colour")
-    wavelength_nm = np.arange(400.0, 701.0)
-    for kelvin in (1500, 6504):
-        expected = colour.colorimetry.planck_law(wavelength_nm * 1e-9, kelvin)
-        found = spectra._power(WhiteSpectrum(cct_k=kelvin))
-        np.testing.assert_allclose(found[20:321], expected / expected.sum(), rtol=1e-13)
-        assert found[20:321].sum() == pytest.approx(1)
+def test_the_table_of_colours_holds_what_colour_science_says():
+    """Some rows of it; scripts/led_colours.py writes them all."""
+    for camera in (NIKON, "Sigma SDMerill (NPL)"):
+        for spectrum in (
+            spectra.EQUAL_ENERGY,
+            WhiteSpectrum(cct_k=2000),
+            WhiteSpectrum(cct_k=6500),
+            PeakSpectrum(peak_nm=400, width_nm=40),
+            PeakSpectrum(peak_nm=465, width_nm=25),
+            PeakSpectrum(peak_nm=625, width_nm=20),
+        ):
+            kept = spectra._table()[spectra.table_key(spectrum, camera)]
+            np.testing.assert_allclose(kept, spectra.computed_rgb(spectrum, camera), rtol=1e-12)
 
 
-def test_a_cameras_response_is_kept_on_disk_once_and_a_damaged_file_is_made_anew(tmp_path, monkeypatch):
-    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
-    lights = (PeakSpectrum(peak_nm=611, width_nm=17), WhiteSpectrum(cct_k=4321))
-    truth = camera_rgb(lights, NIKON, None)
-    (file,) = tmp_path.glob("*.led")
-    read_table = spectra._tabulated_response
-    monkeypatch.setattr(spectra, "_tabulated_response", lambda *_: pytest.fail("computed again"))
-    assert camera_rgb(lights, NIKON, None) == truth
-    # Other lights, as a stream draws them without end, leave no file of their own.
-    assert camera_rgb(lights, NIKON, 5000.0) != truth
-    assert list(tmp_path.glob("*.led")) == [file]
-    monkeypatch.setattr(spectra, "_tabulated_response", read_table)
-    file.write_text("[[1, 2, 3]]")
-    assert camera_rgb(lights, NIKON, None) == truth
-    clear_led_cache()
-    assert not list(tmp_path.glob("*.led*"))
-    monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
-    assert camera_rgb(lights, NIKON, None) == truth
+def test_a_light_between_those_of_the_table_is_between_their_colours():
+    low, between, high = camera_rgb(
+        [PeakSpectrum(peak_nm=peak_nm, width_nm=25) for peak_nm in (465, 467.5, 470)], NIKON, 5000.0
+    )
+    np.testing.assert_allclose(between, np.mean([low, high], axis=0), rtol=0.03)
+    measured = TableSpectrum(wavelength_nm=(464, 465, 466), power=(0, 1, 0))
+    (line,) = camera_rgb((measured,), NIKON, None)
+    (narrow,) = camera_rgb((PeakSpectrum(peak_nm=465, width_nm=1.1),), NIKON, None)
+    np.testing.assert_allclose(line, narrow, rtol=0.02)
+
+
+def test_lights_that_ship_with_gelgap_are_drawn_without_colour_science():
+    code = """
+import sys
+from gelgap.assets import list_presets
+from gelgap.render import Illumination, Sensor
+for name in list_presets("sensors"):
+    sensor = Sensor.preset(name)
+    for light in (None, *list_presets("illuminations")):
+        sensor.lit_by(light).led_to_camera(sensor.camera)
+assert "colour" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("kind", ["bar", "disc", "point"])

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from gelgap.assets import list_presets
-from gelgap.render.camera import Camera
-from gelgap.render.imaging import encode, sensor_noise
+from gelgap.render.imaging import Camera, encode, sensor_noise
 from gelgap.render.light.leds import Illumination
 from gelgap.render.rasterizer import LOCK
 from gelgap.render.renderer import MembraneRenderer

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gelgap.sim import contact, newton
+from gelgap.sim import contact
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.newton import StaticNewton, solve
+from gelgap.sim.newton import POLICY, StaticNewton, solve
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
 from gelgap.sim.shapes import Cylinder
@@ -20,11 +20,8 @@ PLACES_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0, 
 COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 
 
-@pytest.fixture
-def fresh_tangents(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every iteration is MuJoCo's with the tangent of its state."""
-    monkeypatch.setattr(newton, "_KEPT_TANGENT_RATIO", 0.0)
-    monkeypatch.setattr(newton, "_MOST_PATIENCE", 0)
+NEW_TANGENTS = replace(POLICY, kept_tangent_ratio=0.0, most_patience=0)
+"""Every iteration is MuJoCo's with the tangent of its state."""
 
 
 pytestmark = [pytest.mark.usefixtures("coarse"), pytest.mark.numerical]
@@ -48,12 +45,11 @@ def _off_mujocos_own(pad: StaticNewton) -> float:
     return float(np.abs(data.qacc - found).max() / np.abs(found).max())
 
 
-@pytest.mark.usefixtures("fresh_tangents")
 @pytest.mark.parametrize("mount_stiffness_n_per_mm", [None, 2.0])
 def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
     mount_stiffness_n_per_mm: float | None,
 ) -> None:
-    pad = StaticNewton(_problem(mount_stiffness_n_per_mm))
+    pad = StaticNewton(_problem(mount_stiffness_n_per_mm), NEW_TANGENTS)
     for command in COMMANDS:
         assert pad.load_step(np.array(command), 1)[0] is False
         assert np.linalg.norm(pad.indenter_force_n) > 0
@@ -61,13 +57,12 @@ def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
         pad.load_step(np.array(command), 30)
 
 
-@pytest.mark.usefixtures("fresh_tangents")
 def test_mujoco_starts_from_nothing_else() -> None:
     """Sideways on a mount, its own estimate without contacts looked better, and it ended there, without a force."""
     gel = Elastomer(young_modulus_mpa=0.7, poisson_ratio=0.49, friction=0.24, mount_stiffness_n_per_mm=20.0)
     way = ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1))
     problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, (-1, 0))
-    press, drag = solve(problem).records
+    press, drag = StaticNewton(problem, NEW_TANGENTS).follow_waypoints().records
     assert press.converged
     assert drag.converged
     assert 0.5 * press.force_n[2] > drag.force_n[2] > 2 * press.force_n[2]
@@ -100,10 +95,9 @@ def test_kept_tangents_end_where_fresh_ones_do(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(
         contact.ContactNewton, "factorise", lambda self: (taken.append(self), factorise(self))
     )
-    for ratio in (newton._KEPT_TANGENT_RATIO, 0.0):
-        monkeypatch.setattr(newton, "_KEPT_TANGENT_RATIO", ratio)
+    for policy in (POLICY, NEW_TANGENTS):
         taken.clear()
-        pad = StaticNewton(_problem())
+        pad = StaticNewton(_problem(), policy)
         records = pad.follow_waypoints().records
         assert pad._accepted
         assert all(record.converged and record.diagnostics.residual < 1e-3 for record in records)

@@ -47,7 +47,9 @@ def test_a_dear_scene_says_what_makes_it_cheaper_and_others_do_not() -> None:
     assert next(iter(cheaper(box))) == "quality draft"
 
 
-def test_a_dear_draft_gets_wider_cells_that_serve_its_edges() -> None:
+def test_a_dear_draft_gets_wider_cells_that_serve_its_edges_and_says_so(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     thin = GEL.model_copy(update={"thickness_mm": 1.2, "pad_size_mm": (40.0, 40.0)})
     box = Box(size_mm=(7.0, 2.0), edge_radius_mm=0.15, yaw_deg=7.0)
     wider = plan_visit(thin, box, (Pose(0.4), Pose(0.4, 0.4, 0.4)), "draft").solves[0].problem
@@ -55,6 +57,9 @@ def test_a_dear_draft_gets_wider_cells_that_serve_its_edges() -> None:
     assert expected_core_s(usual) > 42 > 25 > expected_core_s(wider)
     assert is_served(wider)
     assert "times as wide" in forecast(wider)
+    assert [record.levelname for record in caplog.records if "times as wide" in record.getMessage()] == [
+        "WARNING"
+    ]
 
 
 def test_work_costs_what_it_consists_of() -> None:

@@ -128,6 +128,12 @@ def test_what_cannot_be_pressed_is_refused_in_a_sentence(
     assert name in str(refused.value)
 
 
+def test_3mf_without_lxml_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gelgap.sim.mesh_file.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"body.3mf.*needs the package lxml; .*pip install 'gelgap\[3mf\]'"):
+        ConvexMesh.load(written(tmp_path / "body.3mf", BOX))
+
+
 def test_rounding_leaves_a_meshs_size_and_makes_it_the_shape_of_that_name(tmp_path: Path) -> None:
     box = ConvexMesh.load(written(tmp_path / "box.stl", BOX), edge_radius_mm=0.5)
     tip = ConvexMesh.load(written(tmp_path / "tip.stl", TIP), edge_radius_mm=0.3)

@@ -45,7 +45,9 @@ def test_depths_share_a_descent_and_drags_branch_off_it() -> None:
     assert shallow.waypoints_mm == ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1), (0.0, 0.0, -0.2), (0.1, 0.0, -0.2))
     assert shallow.parents == (-1, 0, 0, 2)
     assert shallow.load_steps == 4
-    for pose, placement in zip(plan.poses[1:], plan.placements[1:], strict=True):
+    assert sorted(plan.placements) == [*range(1, len(plan.poses))]
+    for index, placement in plan.placements.items():
+        pose = plan.poses[index]
         waypoint = plan.solves[placement.solve].problem.waypoints_mm[placement.record]
         assert waypoint == (pose.radius_mm, 0.0, -pose.depth_mm)
 
@@ -99,7 +101,7 @@ def test_another_modulus_needs_no_new_solve_unless_the_mount_gives_way() -> None
 def test_every_pose_is_served(cache: Path) -> None:
     plan = _plan()
     solutions = {solve.key: solve.run() for solve in plan.solves}
-    states = [plan.state(i, solutions[plan.solve_key(i)]) for i in range(len(plan.poses))]
+    states = [plan.state(i, solutions) for i in range(len(plan.poses))]
     references = [state for state, pose in zip(states, plan.poses, strict=True) if pose.depth_mm == 0]
     assert len(references) == 2
     assert not references[0].displacement_mm.any()
@@ -124,9 +126,9 @@ def test_every_pose_is_served(cache: Path) -> None:
 def test_a_membrane_reaches_as_far_as_its_contact_and_as_it_must(cache: Path) -> None:
     thin = GEL.model_copy(update={"thickness_mm": 1.0})
     plan = _plan(thin, PosePath("far", (Pose(depth_mm=0.1, point_x_mm=6.8),)))
-    solution = plan.solves[0].run()
-    assert plan.state(0, solution).x_mm[-1] == pytest.approx(7.7)  # 1.5 times 0.54 mm beyond the point
-    wide = plan.state(0, solution, (9.0, 30.0))
+    solutions = {plan.solves[0].key: plan.solves[0].run()}
+    assert plan.state(0, solutions).x_mm[-1] == pytest.approx(7.7)  # 1.5 times 0.54 mm beyond the point
+    wide = plan.state(0, solutions, (9.0, 30.0))
     assert (wide.x_mm[-1], wide.y_mm[-1]) == (9.0, 10.0)  # the pad ends at 10 mm
     assert wide.displacement_mm.shape == (len(wide.y_mm), len(wide.x_mm), 3)
     assert wide.contact.any()
@@ -161,8 +163,8 @@ def test_a_mirrored_corner_of_a_harder_gel_has_the_mirrored_force_and_torque(cac
     harder = SMALL.model_copy(update={"young_modulus_mpa": 0.6})
     one, other = _plan(SMALL, PosePath("one", (drag,))), _plan(harder, PosePath("other", (mirrored,)))
     assert one.solves[0].key == other.solves[0].key
-    solution = one.solves[0].run()
-    here, there = one.state(0, solution), other.state(0, solution)
+    solutions = {one.solves[0].key: one.solves[0].run()}
+    here, there = one.state(0, solutions), other.state(0, solutions)
     assert np.abs(here.torque_n_mm).min() > 1e-6
     np.testing.assert_allclose(there.force_n, 2 * here.force_n * [-1, 1, 1], rtol=1e-12)
     # Torque is an axial vector: mirroring x keeps its x component and negates the other two.
@@ -178,7 +180,7 @@ def test_a_trajectory_is_one_solve_that_remembers_its_way(cache: Path) -> None:
     assert len(plan.solves) == 2
     solution = plan.solves[0].run()
     assert solution.problem.symmetric
-    states = [plan.state(index, solution) for index in range(4)]
+    states = [plan.state(index, {plan.solves[0].key: solution}) for index in range(4)]
     assert not states[0].displacement_mm.any()
     assert states[2].force_n[0] > 0
     # Friction at 0.5 slips on this way, so on the way back it pulls against it.
@@ -231,5 +233,5 @@ def _store_concurrently(solution) -> None:
 
 def test_plans_and_paths_are_shown_in_one_line() -> None:
     plan = plan_solves(GEL, Sphere(), SHORT)
-    for shown in (plan, plan.solves[0], PosePath("own", plan.poses), plan.state(0, None).diagnostics):
+    for shown in (plan, plan.solves[0], PosePath("own", plan.poses), plan.state(0, {}).diagnostics):
         assert len(repr(shown)) < 300

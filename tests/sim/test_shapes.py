@@ -225,8 +225,8 @@ def test_a_turned_body_is_solved_once_and_its_answer_is_turned() -> None:
     straight = plan_visit(GEL, body, (pose,), "draft", ALONE)
     turned = plan_visit(GEL, body.yawed(90.0), (Pose(depth_mm=0.3, shear_x_mm=-0.05),), "draft", ALONE)
     assert straight.solves[0].key == turned.solves[0].key
-    solution = straight.solves[0].run()
-    one, two = straight.state(0, solution), turned.state(0, solution)
+    solutions = {straight.solves[0].key: straight.solves[0].run()}
+    one, two = straight.state(0, solutions), turned.state(0, solutions)
     np.testing.assert_allclose(two.force_n, [-one.force_n[1], one.force_n[0], one.force_n[2]], atol=1e-9)
     np.testing.assert_allclose(
         two.torque_n_mm, [-one.torque_n_mm[1], one.torque_n_mm[0], one.torque_n_mm[2]], atol=1e-9

@@ -20,7 +20,8 @@ POSES = (Pose(depth_mm=0.3), Pose(depth_mm=0.3, shear_x_mm=-0.05, shear_y_mm=0.2
 def maps() -> tuple[Traction, ...]:
     plan = plan_visit(GEL, Sphere(), POSES, "draft")
     solution = solution_from_bytes(solution_bytes(plan.solves[0].run()))
-    return tuple(plan.state(index, solution).traction() for index in range(len(POSES)))
+    solutions = {plan.solves[0].key: solution}
+    return tuple(plan.state(index, solutions).traction() for index in range(len(POSES)))
 
 
 def test_a_maps_integrals_are_force_and_torque(maps: tuple[Traction, ...]) -> None:

@@ -12,7 +12,7 @@ import pytest
 from loaded_file import load_file
 
 from gelgap.sim import Pose, PoseLibrary, solve_pose
-from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
+from gelgap.view.solver import Answer, Failed, Progress, Request, SolvedAlone, SolvedLibrary
 from gelgap.view.state import Configuration, PoseRequest
 
 pytest.importorskip("viser")
@@ -38,10 +38,11 @@ class FakeSolver:
         if self.reason:
             self._on_answer(Failed(request, self.reason))
             return
-        result = self._library
         if isinstance(request, PoseRequest):
-            result = solve_pose(request.elastomer, request.indenter, Pose(depth_mm=0.0))
-        self._on_answer(Solved(request, result))
+            flat = solve_pose(request.elastomer, request.indenter, Pose(depth_mm=0.0))
+            self._on_answer(SolvedAlone(request, flat))
+        else:
+            self._on_answer(SolvedLibrary(request, self._library))
 
     def close(self) -> None:
         pass

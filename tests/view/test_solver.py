@@ -7,8 +7,8 @@ import signal
 import pytest
 
 from gelgap.sim import Elastomer, Pose, Sphere
-from gelgap.sim.solved import SolvedPose
-from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver, Superseded, answer_to
+from gelgap.sim.solved import NoContact
+from gelgap.view.solver import Answer, Failed, Progress, SolvedAlone, Solver, Superseded, answer_to
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 GEL = Elastomer.preset("e04")
@@ -39,7 +39,7 @@ def cache(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_pose_is_solved_with_progress() -> None:
     line = Line()
     answer = answer_to(SHALLOW, line)
-    assert isinstance(answer, Solved)
+    assert isinstance(answer, SolvedAlone)
     assert answer.result.force_n[2] < 0
     assert answer.result.pressure_mpa.max() > 0
     done = [progress.done for progress in line.sent]
@@ -66,8 +66,8 @@ def test_a_process_that_dies_is_reported_and_replaced() -> None:
     try:
         solving.request(UNTOUCHED)
         answer = answers.get(timeout=PATIENCE_S)
-        assert isinstance(answer, Solved)
-        assert isinstance(answer.result, SolvedPose)
+        assert isinstance(answer, SolvedAlone)
+        assert isinstance(answer.result, NoContact)
         solving.request(LibraryRequest(GEL, Sphere()))
         os.kill(solving._process.pid, signal.SIGKILL)
         found = answers.get(timeout=PATIENCE_S)
@@ -76,7 +76,7 @@ def test_a_process_that_dies_is_reported_and_replaced() -> None:
         assert isinstance(found, Failed)
         assert "ended before it was done" in found.reason
         solving.request(UNTOUCHED)
-        assert isinstance(answers.get(timeout=PATIENCE_S), Solved)
+        assert isinstance(answers.get(timeout=PATIENCE_S), SolvedAlone)
     finally:
         solving.close()
 

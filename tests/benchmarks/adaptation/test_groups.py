@@ -1,4 +1,4 @@
-"""The headline: what is run, the share of the gap, rules beside methods, and what is compared with what."""
+"""Groups: what is run, the share of the gap, rules beside methods, and what is compared with what."""
 
 import math
 
@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from run_records import Record, headline_of, record, rows_of, write_benchmark
+from run_records import Record, headline_of, loaded, record, rows_of
 
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
-from gelgap.benchmarks.adaptation import board
-from gelgap.benchmarks.adaptation.board import (
+from gelgap.benchmarks.adaptation import protocol
+from gelgap.benchmarks.adaptation.groups import SEEDS, headline_grid, tables
+from gelgap.benchmarks.adaptation.protocol import (
     GROUPS,
     LABEL_SHIFT,
     LIGHT_GROUPS,
@@ -19,9 +20,8 @@ from gelgap.benchmarks.adaptation.board import (
     METHODS,
     UPPER_BOUND,
 )
-from gelgap.benchmarks.adaptation.groups import (
-    PART,
-    SEEDS,
+from gelgap.benchmarks.adaptation.study import control_of
+from gelgap.benchmarks.adaptation.tables import (
     SHRUNK,
     closed,
     control_table,
@@ -29,19 +29,17 @@ from gelgap.benchmarks.adaptation.groups import (
     draws_of,
     group_table,
     halves,
-    headline_grid,
     holm,
-    load_headline,
-    load_upper_bounds,
     method_table,
+    of_data,
     p_value,
     ranks,
     sensor_pair,
     upper_bound_table,
+    upper_bounds,
     usable,
     with_rules,
 )
-from gelgap.benchmarks.adaptation.study import control_of
 
 NO_UPPER_BOUNDS = pd.DataFrame()
 
@@ -55,11 +53,11 @@ def records(errors: dict[str, float], seeds: int = 2, groups=GROUPS, **fields) -
     ]
 
 
-def upper_bounds(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_target) -> list[Record]:
+def bounds_of(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_target) -> list[Record]:
     """Runs of targets that were trained on themselves; of some targets with another R²."""
     targets = dict.fromkeys(target for _, target in GROUPS)
     return [
-        record((name, name), "source-only", error_n, seed, data=board.DATA, r2=of_target.get(name, r2))
+        record((name, name), "source-only", error_n, seed, data=protocol.DATA, r2=of_target.get(name, r2))
         for name in targets
         for seed in range(seeds)
     ]
@@ -102,7 +100,7 @@ def test_every_method_has_its_own_control():
 def test_records_of_two_configurations_are_not_compared(tmp_path):
     found = [record(GROUPS[0], "dan", 0.1), record(GROUPS[0], "dann", 0.1, configuration="d")]
     with pytest.raises(ValueError, match="only runs of one profile and of the same data can be compared"):
-        load_headline(write_benchmark(tmp_path, found), "paired")
+        headline_of(tmp_path, found)
 
 
 def test_methods_beside_their_controls(tmp_path):
@@ -131,32 +129,32 @@ def test_errors_within_the_noise_of_two_runs_share_their_ranks():
 def test_the_gap_closed(tmp_path):
     """From 0.3 N (the constant mean has 0.4) to 0.1 N; with the constant mean at 0.25 N from there."""
     errors = {"source-only": 0.3, "adabn": 0.2, "dsan": 0.15}
-    found = [*records(errors, data=board.DATA), *upper_bounds(0.1)]
-    folder = write_benchmark(tmp_path / "one", found)
-    runs, own = with_rules(load_headline(folder)), load_upper_bounds(folder)
+    found = [*records(errors, data=protocol.DATA), *bounds_of(0.1)]
+    every = loaded(tmp_path / "one", found)
+    runs, own = with_rules(of_data(every, protocol.DATA)), upper_bounds(every)
     share = closed(runs, own)["share"]
     # Errors of the two seeds are 0.01 N apart, so that the gap is 0.2 and 0.21 N.
     assert share["source-only"] == pytest.approx(0)
     assert share["adabn"] == pytest.approx(100 * 0.1 / 0.205)
     assert share["dsan"] == pytest.approx(100 * 0.15 / 0.205)
     near = [(run, own | {"baselines_mae_n": dict.fromkeys(BASELINES, (0.25,) * 3)}) for run, own in found]
-    folder = write_benchmark(tmp_path / "two", near)
-    runs = with_rules(load_headline(folder))
-    share = closed(runs, load_upper_bounds(folder))["share"]
+    every = loaded(tmp_path / "two", near)
+    runs, own = with_rules(of_data(every, protocol.DATA)), upper_bounds(every)
+    share = closed(runs, own)["share"]
     assert share["adabn"] == pytest.approx(100 * (0.25 - 0.205) / 0.15)
     assert share[CONSTANT] == 0
-    table = rows_of(method_table(runs, board.DATA, load_upper_bounds(folder)))
+    table = rows_of(method_table(runs, protocol.DATA, own))
     assert table["adabn"]["closed"] == "30 %"
 
 
 def test_a_upper_bound_that_is_none_is_left_out(tmp_path):
-    found = [*records({"source-only": 0.3, "dsan": 0.15}, data=board.DATA)]
-    found += upper_bounds(0.1, wmb2i2=(0.7, 0.95, 0.99))
-    folder = write_benchmark(tmp_path, found)
-    own = load_upper_bounds(folder)
+    found = [*records({"source-only": 0.3, "dsan": 0.15}, data=protocol.DATA)]
+    found += bounds_of(0.1, wmb2i2=(0.7, 0.95, 0.99))
+    every = loaded(tmp_path, found)
+    own = upper_bounds(every)
     assert "wmb2i2" not in usable(own)
     assert "wmb1i1" in usable(own)
-    assert set(closed(with_rules(load_headline(folder)), own)["groups"]) == {6}
+    assert set(closed(with_rules(of_data(every, protocol.DATA)), own)["groups"]) == {6}
     verdicts = {row[0]: row[-1] for row in upper_bound_table(own).cells}
     assert verdicts["wmb2i2"] == "NO"
     assert verdicts["mb0i0"] == "yes"
@@ -213,15 +211,15 @@ def test_methods_are_compared_on_what_all_have_finished(tmp_path):
 
 def test_all_tables_of_two_data_sets(tmp_path):
     errors = {"source-only": 0.3, "adabn": 0.2, "dann": 0.16, "daregram": 0.15, "dsan": 0.14}
-    both = [*records(errors, data=board.DATA), *records(errors, data="paired"), *upper_bounds(0.05)]
-    folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=board.DATA)])
-    found = PART.tables(folder)
+    both = [*records(errors, data=protocol.DATA), *records(errors, data="paired"), *bounds_of(0.05)]
+    every = loaded(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=protocol.DATA)])
+    found = tables(every)
     titles = [table.title for table in found]
     assert len(titles) == len(set(titles)) == 7
     assert rows_of(found[0])["dsan"]["stage 2, s"] == "30.0"
     assert "took 60.0 s" in found[0].note
     order = ["source-only", "adabn", "jan", "dann", "daregram", "dsan"]
-    assert list(counted(load_headline(folder)).columns) == order
+    assert list(counted(of_data(every, protocol.DATA)).columns) == order
 
 
 def test_paired_differences_leave_pairs_of_sensors_out(tmp_path):

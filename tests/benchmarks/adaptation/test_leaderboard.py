@@ -9,11 +9,18 @@ from run_records import Record, record, rows_of, write_runs
 from gelgap.adapt import split_for_training
 from gelgap.adapt.evaluation import evaluate_constant_mean
 from gelgap.adapt.result_table import ResultTable
-from gelgap.benchmarks.adaptation import board, leaderboard
-from gelgap.benchmarks.adaptation.groups import RULES
-from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, LIGHT_RUNS, changes_of
-from gelgap.benchmarks.adaptation.leaderboard import GROUPS, HANDED_IN, SEEDS, entry_grid, tables
-from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
+from gelgap.benchmarks.adaptation import leaderboard, protocol
+from gelgap.benchmarks.adaptation.leaderboard import (
+    GROUPS,
+    HANDED_IN,
+    SEEDS,
+    entry_grid,
+    handed_in_tables,
+    tables,
+)
+from gelgap.benchmarks.adaptation.protocol import changes_of
+from gelgap.benchmarks.adaptation.study import RUNS, Study, grid, load_runs
+from gelgap.benchmarks.adaptation.tables import RULES
 from gelgap.data import ArrayFrames
 
 TEN_LINES = """
@@ -49,8 +56,8 @@ def study(tmp_path, monkeypatch):
 
 def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUPS[0], **results) -> Record:
     """Return a run that nobody trained, whose predictions are off by as much."""
-    changes = results.pop("changes", board.BY_POINT)
-    (run,) = grid([(board.DATA, group)], [method], [seed], changes)
+    changes = results.pop("changes", protocol.BY_POINT)
+    (run,) = grid([(protocol.DATA, group)], [method], [seed], changes)
     frames = study.frames_of(run)
     found = {
         "when": "2026-11-25",
@@ -58,7 +65,7 @@ def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUPS[0], 
         "constant_mean_n": evaluate_constant_mean(frames.source_train, frames.target_test).mae_n,
         "r2": (0.95,) * 3,
     }
-    setting, own = record(group, "dan" if "." in method else method, off_n, seed, data=board.DATA, **found)
+    setting, own = record(group, "dan" if "." in method else method, off_n, seed, data=protocol.DATA, **found)
     return setting | {"method": method, "changes": changes}, own | results
 
 
@@ -79,6 +86,10 @@ def folder(study):
     return study.out
 
 
+def trained(folder) -> list[ResultTable]:
+    return tables(load_runs(folder / RUNS))
+
+
 def methods_of(table: ResultTable) -> dict[str, dict[str, str]]:
     """Return the rows of methods; rules without a network, which stand beside them, apart."""
     return {name: row for name, row in rows_of(table).items() if name not in RULES}
@@ -89,13 +100,12 @@ def send(folder, name: str, runs: list[Record]) -> None:
 
 
 def test_entries_are_ranked_by_what_they_close(study, folder):
-    assert tables(folder) == []  # there is no entry yet
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2))
     calibrated = changes_of("calibrated")
-    write_runs(folder / INPUT_RUNS, places(study, "mine.Mine", 0.1, changes=calibrated))
-    lit = [(board.LIKE + target, target) for _, target in GROUPS]
-    write_runs(folder / LIGHT_RUNS, places(study, "adabn", 0.15, lit))
-    (table,) = tables(folder)
+    write_runs(folder / RUNS, places(study, "mine.Mine", 0.1, changes=calibrated))
+    lit = [(protocol.LIKE + target, target) for _, target in GROUPS]
+    write_runs(folder / RUNS, places(study, "adabn", 0.15, lit))
+    (table,) = trained(folder)
     rows = methods_of(table)
     names = ["**mine.Mine / calibrated**", "adabn / like-target", "**mine.Mine**", "adabn", "source-only"]
     assert list(rows) == names
@@ -106,7 +116,7 @@ def test_entries_are_ranked_by_what_they_close(study, folder):
 
 def test_what_two_equal_runs_differ_by_has_no_order(study, folder):
     write_runs(folder / RUNS, [*places(study, "mine.Mine", 0.2), *places(study, "mine.Twin", 0.201)])
-    (table,) = tables(folder)
+    (table,) = trained(folder)
     rows = methods_of(table)
     assert rows["**mine.Mine**"]["rank mean"] == rows["**mine.Twin**"]["rank mean"] == "1–2"
     assert rows["adabn"]["rank mean"] == "3"
@@ -116,7 +126,7 @@ def test_a_seed_more_is_left_out_and_one_less_is_named(study, folder):
     write_runs(folder / RUNS, places(study, "source-only", 0.5, seeds=(2,)))
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, seeds=(0, 1, 2)))
     write_runs(folder / RUNS, places(study, "mine.Short", 0.2, seeds=(0,)))
-    (table,) = tables(folder)
+    (table,) = trained(folder)
     assert methods_of(table)["**mine.Mine**"]["closed"] == "57 %"
     assert "Not all runs are finished of mine.Short." in table.note
     assert len(methods_of(table)) == 3
@@ -125,15 +135,15 @@ def test_a_seed_more_is_left_out_and_one_less_is_named(study, folder):
 def test_runs_of_other_pictures_are_not_compared(study, folder):
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, configuration="of other pictures"))
     with pytest.raises(ValueError, match="wmb0i0 wmb0i1 disjoint pictures, are of more than one"):
-        tables(folder)
+        trained(folder)
 
 
 def test_inputs_that_were_tested_on_other_frames_are_not_compared(study, folder):
-    for file, sha256, changes in ((RUNS, "a", board.BY_POINT), (INPUT_RUNS, "b", changes_of("calibrated"))):
+    for sha256, changes in (("a", protocol.BY_POINT), ("b", changes_of("calibrated"))):
         tested = {"frames_sha256": {"target_test": sha256}}
-        write_runs(folder / file, places(study, "mine.Mine", 0.2, changes=changes, **tested))
+        write_runs(folder / RUNS, places(study, "mine.Mine", 0.2, changes=changes, **tested))
     with pytest.raises(ValueError, match="one group and seed were tested on different frames"):
-        tables(folder)
+        trained(folder)
 
 
 def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
@@ -141,9 +151,9 @@ def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
     write_runs(folder / RUNS, places(study, "mine.Mine", 0.2))
     send(folder, "Bob", places(study, "mine.Mine", 0.06))
     send(folder, "Aaron", [*places(study, "adabn", 0.07), *places(study, "adabn", 0.07, seeds=(7,))])
-    trained, given = tables(folder)
-    assert list(methods_of(trained)) == ["**mine.Mine**", "adabn", "source-only"]
-    assert methods_of(trained)["adabn"]["mean, N"] == "0.300"
+    (own,), (given,) = trained(folder), handed_in_tables(study)
+    assert list(methods_of(own)) == ["**mine.Mine**", "adabn", "source-only"]
+    assert methods_of(own)["adabn"]["mean, N"] == "0.300"
     rows = methods_of(given)
     assert {name: row["mean, N"] for name, row in rows.items()} == {
         "mine.Mine (Bob)": "0.060",
@@ -155,7 +165,7 @@ def test_what_is_handed_in_has_no_rank_and_displaces_nothing(study, folder):
 
 def test_errors_of_what_is_handed_in_are_those_of_its_predictions(study, folder):
     send(folder, "Bob", places(study, "mine.Mine", 0.2, mae_n=(0.001,) * 3))
-    _, given = tables(folder)
+    (given,) = handed_in_tables(study)
     assert methods_of(given)["mine.Mine (Bob)"]["mean, N"] == "0.200"
 
 
@@ -171,7 +181,7 @@ def test_errors_of_what_is_handed_in_are_those_of_its_predictions(study, folder)
 )
 def test_what_cannot_be_judged_is_named(study, folder, change, reason):
     send(folder, "Bob", places(study, **{"method": "mine.Mine", "off_n": 0.2} | change))
-    _, given = tables(folder)
+    (given,) = handed_in_tables(study)
     assert reason in given.note
     assert methods_of(given) == {}
 
@@ -179,7 +189,7 @@ def test_what_cannot_be_judged_is_named(study, folder, change, reason):
 def test_a_run_that_stands_twice_is_not_judged(study, folder):
     runs = places(study, "mine.Mine", 0.2)
     send(folder, "Bob", [(setting | {"copy": copy}, own) for copy in (0, 1) for setting, own in runs])
-    _, given = tables(folder)
+    (given,) = handed_in_tables(study)
     assert "mine.Mine (Bob) has a run twice" in given.note
 
 
@@ -189,19 +199,18 @@ def test_an_entry_is_trained_beside_its_controls(tmp_path, monkeypatch):
     assert study.known_methods() == ("source-only", "adabn", "no-transfer", "mine.MeanMatching")
     did = []
     monkeypatch.setattr(Study, "generate_for", lambda self, runs: None)
-    monkeypatch.setattr(Study, "run", lambda self, function, runs, file: did.append((file, list(runs))))
+    monkeypatch.setattr(Study, "run", lambda self, runs: did.extend(runs))
     leaderboard.measure(
         Study.at(tmp_path / "cpu", methods=study.methods, inputs=("calibrated", "like-target"))
     )
-    found = {file: {run["method"] for run in runs} for file, runs in did}
-    assert found == {
-        RUNS: {"source-only", "adabn"},
-        INPUT_RUNS: {*study.known_methods()},
-        LIGHT_RUNS: {*study.known_methods()},
-    }
-    bounds = [run for file, runs in did if file == RUNS for run in runs if run["source"] == run["target"]]
+    found: dict[str, set[str]] = {}
+    for run in did:
+        found.setdefault(protocol.shown_in(run["source"], run["changes"]), set()).add(run["method"])
+    every = {*study.known_methods()}
+    assert found == {"pictures": {"source-only", "adabn"}, "calibrated": every, "like-target": every}
+    bounds = [run for run in did if run["source"] == run["target"]]
     assert len(bounds) == len(GROUPS) * len(SEEDS)
-    assert json.loads(json.dumps(bounds[0]))["data"] == board.DATA
+    assert json.loads(json.dumps(bounds[0]))["data"] == protocol.DATA
     (tmp_path / "seer.py").write_text(TEN_LINES + "    uses_target_labels = True\n")
     with pytest.raises(ValueError, match=r"seer\.MeanMatching: it learns from the target's labels"):
         leaderboard.measure(Study.at(tmp_path / "cpu", methods=(f"{tmp_path / 'seer.py'}:MeanMatching",)))

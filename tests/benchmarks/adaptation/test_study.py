@@ -1,7 +1,8 @@
-"""Runs of the board: what is missing, which records are refused, methods of one's own, and the report of all parts."""
+"""Runs of the benchmark: what is missing, which records are refused, methods of one's own, and its scripts."""
 
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -13,13 +14,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from run_records import look_up_method, record, write_benchmark, write_runs
+from run_records import look_up_method, record, write_runs
 
 from gelgap.adapt.trainer import untrained
 from gelgap.benchmarks.adaptation import study
-from gelgap.benchmarks.adaptation.board import BY_POINT, DATA, GROUPS
-from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS, changes_of
-from gelgap.benchmarks.adaptation.report import is_benchmark, measure, write_benchmark_report
+from gelgap.benchmarks.adaptation.protocol import BY_POINT, DATA, GROUPS, changes_of
 from gelgap.benchmarks.adaptation.study import RUNS, Study, adapt_run, begun_by_touches, grid, train_once
 
 CASES = [("paired", GROUPS[0])]
@@ -49,9 +48,9 @@ def test_work_comes_in_pieces_and_nothing_is_done_twice(same_data):
         return {"problem": None, "mae_n": [0.1] * 3, "r2": [0.5] * 3}
 
     runs = grid(CASES, ["dan", "dann", "dsan"], [0])
-    assert len(replace(same_data, stop=time.time()).run(work, runs[:2], RUNS)) == 0
-    assert len(same_data.run(work, runs[:2], RUNS)) == 2
-    found = same_data.run(work, runs, RUNS)
+    assert len(replace(same_data, stop=time.time()).run(runs[:2], work)) == 0
+    assert len(same_data.run(runs[:2], work)) == 2
+    found = same_data.run(runs, work)
     assert list(found["method"]) == did == ["dan", "dann", "dsan"]
     assert set(found["profile"]) == {"cpu"}
     assert found["settings.transfer_weight"].iloc[1] == 0.003
@@ -64,15 +63,16 @@ def test_records_of_another_configuration_are_not_gone_on_from(same_data, differ
     _, results = record(GROUPS[0], "jan", 0.1)
     write_runs(same_data.out / RUNS, [(run, results | stated | differs)])
     with pytest.raises(ValueError, match=f"is of another {next(iter(differs))} than the same run has now"):
-        same_data.run(lambda own, run: pytest.fail("measured"), [run], RUNS)
+        same_data.run([run], lambda own, run: pytest.fail("measured"))
 
 
 def test_other_pictures_of_the_same_recipe_are_another_configuration(monkeypatch, tmp_path):
     (run,) = grid(CASES, ["adabn"], [0])
 
     def configuration(recipe: str, digest: str) -> str:
-        domain = SimpleNamespace(recipe=SimpleNamespace(key=recipe), digest=digest)
+        domain = SimpleNamespace(digest=digest)
         monkeypatch.setattr(Study, "domains_of", lambda self, run: [domain])
+        monkeypatch.setattr(study, "recipe_of", lambda domain: SimpleNamespace(key=recipe))
         return Study(tmp_path, tmp_path, "cpu").stated_of(run)["configuration"]
 
     assert configuration("r", "d") == configuration("r", "d")
@@ -92,7 +92,7 @@ def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
     (tmp_path / "own.py").write_text(OWN_METHOD)
     places = tuple(f"{tmp_path / 'own.py'}:{name}" for name in ("Mine", "Other"))
     own = replace(same_data, methods=places, workers=2)
-    found = own.run(look_up_method, grid(CASES, own.known_methods(), range(4)), RUNS)
+    found = own.run(grid(CASES, own.known_methods(), range(4)), look_up_method)
     assert set(found["method"]) > {"own.Mine", "own.Other"}
     assert set(found["found"]) > {"Mine", "Other"}
     assert os.getpid() not in set(found["pid"])
@@ -135,20 +135,29 @@ def test_touches_are_shown_and_not_judged(source, target, monkeypatch, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("part", "choice", "takes"),
+    ("arguments", "said"),
     [
-        ("lights", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
-        ("groups", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
+        (["groups", "--inputs", "grey"], "it takes --seeds, --methods, --groups"),
+        (["equal_runs", "--inputs", "grey"], "it takes --seeds, --methods, --groups"),
+        (["leaderboard", "--seeds", "1"], "it takes --methods, --inputs"),
+        (
+            ["inputs", "--groups", "wmb0i0:wmb0i1", "--inputs", "markers"],
+            "no chosen group has markers on both",
+        ),
+        (["inputs", "--table", "nowhere.jsonl"], "nowhere.jsonl: no such file"),
     ],
 )
-def test_a_choice_that_a_part_does_not_follow_is_refused(part, choice, takes, tmp_path):
-    with pytest.raises(ValueError, match=takes):
-        measure(part, Study.at(tmp_path / "board", **choice))
+def test_what_a_script_cannot_do_is_one_sentence(arguments, said, tmp_path, monkeypatch, capsys):
+    name, *options = arguments
+    monkeypatch.setattr(sys, "argv", [name, *options, "--out", str(tmp_path / "benchmark")])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(Path(study.__file__).with_name(f"{name}.py")), run_name="__main__")
+    assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 def test_ctrl_c_ends_with_a_sentence(tmp_path):
-    command = [sys.executable, "-m", "gelgap.benchmarks.adaptation", "groups", "--out", tmp_path / "smoke"]
+    command = [sys.executable, "-m", "gelgap.benchmarks.adaptation.groups", "--out", tmp_path / "smoke"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not list(tmp_path.glob("data-smoke/paired/*")):
         time.sleep(0.05)
@@ -162,28 +171,3 @@ def test_ctrl_c_ends_with_a_sentence(tmp_path):
     assert (process.returncode, bool(sentence)) == (130, True), error
     # However late the signal comes on a busy machine: some frames may be made by then.
     assert all(re.search(r": \d+ of \d+", line) for line in progress.splitlines()), error
-
-
-def test_no_records_is_one_sentence(tmp_path):
-    with pytest.raises(FileNotFoundError, match="holds no records of the adaptation benchmark"):
-        write_benchmark_report(tmp_path)
-
-
-def test_report_of_all_parts(tmp_path):
-    folder, rng = tmp_path / "cpu", np.random.default_rng(0)
-    assert not is_benchmark(folder)
-    found = [
-        record(group, method, 0.1, seed, mae_n=0.1 + 0.1 * rng.random(3), stage1_s=0.0)
-        for group in GROUPS
-        for method in ("source-only", "dann", "dsan", "supervised")
-        for seed in (0, 1)
-    ]
-    write_benchmark(folder, found)
-    write_runs(folder / INPUT_RUNS, [record(GROUPS[0], "dsan", 0.2, data=DATA)])
-    page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
-    assert "What inputs are worth" in page
-    text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
-    for expected in ("Kendall's τ", "What inputs are worth"):
-        assert expected in text
-    latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
-    assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))

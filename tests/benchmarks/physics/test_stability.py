@@ -1,6 +1,5 @@
 """The stability benchmark: its scenes stay in the declared box, and its machinery survives crashes and hangs."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,16 +71,25 @@ def test_a_scene_that_cannot_be_solved_has_a_verdict(monkeypatch, module, limit_
     assert failure in verdict["detail"]
 
 
-def test_summary_counts_by_regime(tmp_path):
+def test_summary_counts_by_regime():
     rows = [
         ("converged", (), stability.PAPERS_REGIME, 1.0, 1.0),
         ("flagged", (), stability.BEYOND, 2.0, 1.0),
         ("converged", ("pulls",), stability.BEYOND, 3.0, 1.0),
     ]
     columns = ["status", "violations", "regime", "core_s", "expected_s"]
-    stability.summarise(pd.DataFrame(rows, columns=columns), tmp_path / "summary.json")
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["scenes"][0]["converged %"] == 100
-    everything = list(summary["scenes"][-1].values())
-    assert everything == ["all", 3, pytest.approx(66.7, abs=0.1), 2, 1, 0, 1, 2.0, pytest.approx(2.8), 3.0]
-    assert dict(summary["violations"]) == {"pulls": 1}
+    scenes, _, violations = stability.tables(pd.DataFrame(rows, columns=columns))
+    assert dict(zip(scenes.columns, scenes.rows[0], strict=True))["converged %"] == 100
+    assert scenes.rows[-1] == [
+        "all",
+        3,
+        pytest.approx(66.7, abs=0.1),
+        2,
+        1,
+        0,
+        1,
+        2.0,
+        pytest.approx(2.8),
+        3.0,
+    ]
+    assert violations.rows == [["pulls", 1]]
