@@ -25,6 +25,7 @@ MOST_PIXELS = 2**26
 MOST_BYTES = 2**29
 # A 16-bit image that ends below a quarter of its range is that of a camera of 10, 12 or 14 bits, stored as it is.
 _LEAST_16_BIT_PEAK = 2**14
+_LFS_POINTER = b"version https://git-lfs"
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "I;16", "I;16B", "I;16L")
 _EXIF_ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
@@ -162,6 +163,8 @@ def stated_size_px(data: bytes) -> tuple[int, int]:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
             image.verify()
     except UnidentifiedImageError:
+        if data.startswith(_LFS_POINTER):
+            raise ValueError("it is a pointer of Git LFS, not the file itself: run `git lfs pull`") from None
         raise ValueError("it is neither PNG, JPEG, BMP nor TIFF of 8 or 16 bits, or is damaged") from None
     except Image.DecompressionBombError:
         raise ValueError(f"it has more than {MOST_PIXELS} pixels") from None

@@ -1,5 +1,6 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
+import time
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.sim.cache import CacheEntry
+    from gelgap.sim.problem import ContactProblem
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,6 @@ class Cache(opt.Command):
         """List or clear the cache."""
         from gelgap.assets.locks import cache_folder
         from gelgap.data.frames.stored import clear_picture_cache
-        from gelgap.sim.cache import cache_entries
         from gelgap.sim.solution import cached_files, clear_cache
 
         files = cached_files()
@@ -46,7 +46,35 @@ class Cache(opt.Command):
         print(f"{cache_folder()} {verb} {len(files)} solutions, {size / 1e6:.1f} MB")
 
 
-def _line(entry: "CacheEntry") -> str:
+@dataclass(frozen=True)
+class CacheEntry:
+    """One cached file: `problem` is None if it cannot be read; `current` says whether this version would take it."""
+
+    key: str
+    bytes: int
+    age_s: float
+    problem: "ContactProblem | None"
+    current: bool
+
+
+def cache_entries() -> tuple[CacheEntry, ...]:
+    """Read what each cached file is, newest first."""
+    from gelgap.sim.solution import cached_files, read_solution
+
+    entries = []
+    for file in cached_files():
+        try:
+            about = file.stat()
+        except FileNotFoundError:
+            continue
+        solution = read_solution(file)
+        problem = None if solution is None else solution.problem
+        current = problem is not None and problem.key == file.stem
+        entries.append(CacheEntry(file.stem, about.st_size, time.time() - about.st_mtime, problem, current))
+    return tuple(sorted(entries, key=lambda entry: entry.age_s))
+
+
+def _line(entry: CacheEntry) -> str:
     age = timedelta(seconds=max(0, round(entry.age_s)))
     head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {age!s:>17} old"
     problem = entry.problem

@@ -70,7 +70,6 @@ NOT_RUN = {
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
     r"python -m gelgap.benchmarks.adaptation.\w+(?!.* --(help|table))": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
-    r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",
     r"gelgap (generate .*--lights-like|adapt --source random)": "needs a picture; tests/cli has one",
     r"gelgap (generate .*--path drags|(adapt|predict) .*recorded)": "minutes; tests/adapt/test_first_touch.py runs it",
     r"gelgap generate .* --workers tcp": "needs the cluster that tests/domains/test_cluster.py starts",

@@ -125,7 +125,7 @@ def solved_cases(cases: Iterable[Case], folder: Path) -> dict[Case, Any]:
     settings = [
         {
             "what": f"{case.study}, {case.name}, {case.quality}",
-            "of": sha256(f"{case.solve!r} {code_digest()}".encode())[:12],
+            "of": sha256(f"{case.solve.key} {code_digest()}".encode())[:12],
         }
         for case in ordered
     ]

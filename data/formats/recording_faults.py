@@ -22,6 +22,8 @@ _ABRUPT, _LEAST_ABRUPT, _BESIDE = 1.6, 1.8, 4
 _LOADED, _LEAST_LOADED = 0.15, 3.5
 """Where the force changes by that share of its range, a contact does so too: the fastest real ones have 3.3."""
 _GAIN_OF_ONE = 0.01
+_MOST_UNLIKE = 1 / 3
+"""Small steps that leave out more are those of compression, which renews whole pictures now and then."""
 _AFTER_GAP = 1.5
 _LEAST_CHANGE = 0.5
 """Of 255: as in the real clips. Compressed video shows nothing for some pictures, and then all at once."""
@@ -100,8 +102,13 @@ def picture_faults(clip: ReducedPictures, pressed_n: np.ndarray) -> PictureFault
     """Find what is wrong with the pictures (n,); where the force (n,) N changes much, contacts may be abrupt, too."""
     repeated, in_doubt = repeated_pictures(clip.unchanged)
     fresh = np.flatnonzero(~repeated)
+    # Compressed video shows small changes of light of some pictures at once, too.
+    may_be_abrupt = _is_loaded(pressed_n) | _is_quiet(clip.unchanged)
     unlike = np.zeros(len(clip), bool)
-    unlike[fresh], steps = _other_views(clip.pictures[fresh], _is_loaded(pressed_n[fresh]))
+    by_all = _other_views(clip.pictures[fresh], may_be_abrupt[fresh])
+    by_large = _other_views(clip.pictures[fresh], np.ones(len(fresh), bool))
+    is_compression = np.mean(by_all[0] & ~by_large[0]) > _MOST_UNLIKE
+    unlike[fresh], steps = by_large if is_compression else by_all
     # A repeat of what is left out shows that, too.
     shown = fresh[np.searchsorted(fresh, np.arange(len(clip)), "right") - 1]
     return PictureFaults(
@@ -116,17 +123,24 @@ def repeated_pictures(unchanged: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Where most values stay, as in compressed video, a repeat proves nothing.
     """
     same, nothing = unchanged >= _REPEATED, np.zeros(len(unchanged), bool)
-    usual = np.median(unchanged[1:][~same[1:]]) if (~same[1:]).any() else 1.0
-    return (same, nothing) if usual < _QUIET else (nothing, unchanged == 1)
+    return (nothing, unchanged == 1) if _is_quiet(unchanged) else (same, nothing)
 
 
-def _other_views(pictures: np.ndarray, is_loaded: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+def _is_quiet(unchanged: np.ndarray) -> bool:
+    """Return whether most values stay from one picture (n,) to the next that is no repeat."""
+    differing = unchanged[1:][unchanged[1:] < _REPEATED]
+    return not len(differing) or bool(np.median(differing) >= _QUIET)
+
+
+def _other_views(
+    pictures: np.ndarray, may_be_abrupt: np.ndarray
+) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return which pictures (n,) show another view than the longest run of them, and the steps of its light.
 
     Abrupt changes of the whole view divide the clip. From its longest part outwards, a part is of the same view if it
     continues the part before it but for a little light.
     """
-    view = _View.of(pictures, is_loaded)
+    view = _View.of(pictures, may_be_abrupt)
     starts = [0, *(np.flatnonzero(view.changes > view.allowed) + 1).tolist(), len(pictures)]
     parts = list(pairwise(starts))
     main = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -161,7 +175,7 @@ class _View:
     allowed: np.ndarray
 
     @classmethod
-    def of(cls, pictures: np.ndarray, is_loaded: np.ndarray) -> "_View":
+    def of(cls, pictures: np.ndarray, may_be_abrupt: np.ndarray) -> "_View":
         by_tile = np.stack([_tile_means(_absolute(b, a)) for a, b in pairwise(pictures)])
         usual = np.maximum(np.median(by_tile, axis=0), _LEAST_CHANGE)
         changes = np.quantile(by_tile / usual, _UNTOUCHED, axis=1)
@@ -169,7 +183,7 @@ class _View:
         beside = np.lib.stride_tricks.sliding_window_view(
             np.pad(changes, _BESIDE, "reflect"), 2 * _BESIDE + 1
         )
-        least = np.where(is_loaded[1:], _LEAST_LOADED, _LEAST_ABRUPT)
+        least = np.where(may_be_abrupt[1:], _LEAST_LOADED, _LEAST_ABRUPT)
         return cls(pictures, usual, changes, np.maximum(_ABRUPT * np.sort(beside, axis=1)[:, -3], least))
 
     def step(self, a: int, b: int) -> float | None:

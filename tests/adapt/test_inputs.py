@@ -121,7 +121,7 @@ def dotted(shifts_px: list[float], pitch_px: int = 20) -> np.ndarray:
 
 
 def displacements(frames: ArrayFrames) -> Found:
-    return Found(INPUTS["markers"], frames, SIZE_PX, (12.0, 9.0), "cpu")
+    return Found(INPUTS["markers"].find, frames, SIZE_PX, (12.0, 9.0), "cpu")
 
 
 def test_displacement_is_how_far_the_dots_have_moved_in_mm_whatever_their_pitch(caplog):

@@ -61,6 +61,7 @@ COLOUR = Image.fromarray(PIXELS)
         (pillow_file(COLOUR, "TIFF", save_all=True, append_images=[COLOUR]), "2 images"),
         (pillow_file(COLOUR, "PNG", save_all=True, append_images=[TRANSPARENT]), "2 images"),
         (pillow_file(COLOUR, "GIF"), "neither PNG, JPEG, BMP nor TIFF"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "pointer of Git LFS"),
         (pillow_file(Image.new("1", (60000, 60000)), "PNG"), "more than 67108864 pixels"),
         (encoded(PIXELS)[:-40], "not a readable image"),
         (encoded(PIXELS, ".jpg")[:-80], "its end is missing"),

@@ -12,7 +12,7 @@ from gelgap.data.formats.export import export
 from gelgap.data.formats.pictures import mismatch
 from gelgap.data.frames.folders import domain_folders
 from gelgap.data.inspection import frame_notes, inspect_domain, write_overview
-from gelgap.domains.gap import gap_rows
+from gelgap.domains.measured_gap import gap_rows
 
 
 def test_the_facts_are_those_of_the_data(data: Path):

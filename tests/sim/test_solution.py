@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim.cache import cache_entries
+from gelgap.cli.cache import cache_entries
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing

@@ -233,7 +233,7 @@ def test_paired_differences_leave_pairs_of_sensors_out(tmp_path):
         for seed in range(3)
     ]
     table = control_table(headline_of(tmp_path, found), "paired", NO_UPPER_BOUNDS)
-    ((_, _, mean, interval, p, better, leaving_out),) = table.rows
+    ((_, _, mean, interval, p, better, leaving_out),) = table.cells
     assert float(mean) == pytest.approx(0.0205, abs=5e-4)
     assert float(interval.split("…")[0]) > 0.02
     assert float(p) < 0.01
