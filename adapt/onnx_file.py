@@ -54,14 +54,19 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
     Raises
     ------
     ValueError
-        If the package onnx or onnxruntime is missing, the input is `markers` or `touch`, or the file computes something
-        else than the model.
+        If the package onnx or onnxruntime is missing, the input is `markers` or `touch`, pictures are levelled, or the
+        file computes something else than the model.
     """
     need_extra("export to ONNX", "onnx", "onnx", "onnxruntime")
     if INPUTS[model.profile.input].find is not None:
         raise ValueError(
             f"input {model.profile.input}: what it shows is found outside the network, which ONNX cannot hold; export "
             "a model of another input"
+        )
+    if model.profile.levelling:
+        raise ValueError(
+            "levelling: pictures are brought to their reference's light outside the network, which ONNX cannot hold; "
+            "export a model that was trained without"
         )
     if model.profile.sequence_length > 1:
         raise ValueError(

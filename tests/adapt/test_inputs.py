@@ -9,6 +9,7 @@ from gelgap.adapt.data import network_inputs
 from gelgap.adapt.few_labels import affine_correction, pretrain_on_stream
 from gelgap.adapt.inputs import INPUTS, Found
 from gelgap.adapt.model import input_map
+from gelgap.adapt.onnx_file import export_onnx
 from gelgap.adapt.split import size_notes
 from gelgap.data import ArrayFrames, LabelledFrames, join_domains, with_labels
 from gelgap.render import Camera
@@ -244,3 +245,22 @@ def test_averaged_weights_are_the_result_and_repeat():
     )
     np.testing.assert_array_equal(one, two)
     assert np.abs(one - plain).max() > 1e-4
+
+
+@pytest.mark.parametrize("name", ["pictures", "grey"])
+def test_a_levelled_network_reads_the_same_in_another_light(tmp_path, name, source, profile):
+    """By its checkpoint, too; a network that was not levelled reads something else."""
+    few = profile.replace(input=name, source_epochs=2, colour_mixing=0.0)
+    picture = source.picture(3)
+    dimmed = np.rint(picture * [0.85, 0.9, 0.88]).astype(np.uint8)
+    apart = {}
+    for levelling in (False, True):
+        train_source(source, few.replace(levelling=levelling)).save(tmp_path / "model.pt")
+        model = ForceModel.load(tmp_path / "model.pt")
+        assert model.profile.levelling == levelling
+        read = [model.predict(seen, source.reference) for seen in (picture, dimmed)]
+        apart[levelling] = np.abs(read[0] - read[1]).max()
+    assert apart[True] < 0.02
+    assert apart[True] < 0.5 * apart[False]
+    with pytest.raises(ValueError, match="levelling: pictures are brought"):
+        export_onnx(model, tmp_path / "model.onnx")
