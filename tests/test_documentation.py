@@ -56,7 +56,6 @@ QUICKEST = {
     r"source_epochs=150": "source_epochs=4",
     r"guide_pictures.py docs/pictures(?! --)": "guide_pictures.py pictures --quality draft",
     r"^gelgap benchmark adaptation$": "gelgap benchmark adaptation --quick",
-    r"adaptation/(cpu|benchmark)": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',
     r'path = "smoke"': 'path = "tiny.toml"',
