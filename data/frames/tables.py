@@ -190,17 +190,23 @@ def known_columns(
 
 def _with_whole_stamps(columns: list[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
     """Return columns with seconds and nanoseconds of a stamp, as ROS writes them, made one of nanoseconds."""
-    places = {"sec": None, "nanosec": None}
+    seconds: int | None = None
+    nanoseconds: int | None = None
     for place, (header, cells) in enumerate(columns):
-        found = _PART_OF_STAMP.fullmatch(header)
-        if found and all(cell.isdigit() for cell in cells):
-            places["nanosec" if found[1].lower().startswith("n") else "sec"] = place
-    if None in places.values() or any(_unit(name, COLUMNS["time_s"], "s") is not None for name, _ in columns):
+        part = _PART_OF_STAMP.fullmatch(header)
+        if part is None or not all(cell.isdigit() for cell in cells):
+            continue
+        if part[1].lower().startswith("n"):
+            nanoseconds = place
+        else:
+            seconds = place
+    has_time = any(_unit(name, COLUMNS["time_s"], "s") is not None for name, _ in columns)
+    if seconds is None or nanoseconds is None or has_time:
         return columns
-    stamps = [
-        f"{int(s) * 10**9 + int(ns)}" for s, ns in zip(*(columns[k][1] for k in places.values()), strict=True)
-    ]
-    return [("time_ns", stamps), *(own for k, own in enumerate(columns) if k not in places.values())]
+    pairs = zip(columns[seconds][1], columns[nanoseconds][1], strict=True)
+    stamps = [str(int(whole) * 10**9 + int(part)) for whole, part in pairs]
+    others = [column for place, column in enumerate(columns) if place not in (seconds, nanoseconds)]
+    return [("time_ns", stamps), *others]
 
 
 def _known_columns(
