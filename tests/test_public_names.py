@@ -35,6 +35,14 @@ def test_every_room_that_installs_says_that_it_is_typed() -> None:
         room for room in settings["package-dir"].values() if not (ROOT / room / "py.typed").is_file()
     ] == []
     assert "py.typed" in settings["package-data"]["*"]
+    # A package that is not listed is missing from a wheel, and in an editable install.
+    folders = {
+        path.parent
+        for room in settings["package-dir"].values()
+        for path in (ROOT / room).rglob("__init__.py")
+    }
+    packages = {".".join(("gelgap", *folder.relative_to(ROOT).parts)) for folder in folders}
+    assert set(settings["packages"]) == packages
 
 
 def test_names_of_stub_guide_and_module_are_the_same_and_described() -> None:
