@@ -39,7 +39,8 @@ def test_the_light_is_found_beside_a_contact(gain, offset, share):
     )
     found_gain, found_offset = light_of(relit[None], reference)
     at_rest = reference * np.array(gain) + np.array(offset)
-    assert np.abs(reference * found_gain[0] + found_offset[0] - at_rest).max() < 1.0
+    # Codes are rounded, and dark markers cut off at 0; the disc differs by 20 to 50.
+    assert np.abs(reference * found_gain[0] + found_offset[0] - at_rest).max() < 3.0
 
 
 @pytest.mark.parametrize(
