@@ -8,5 +8,5 @@
 5. Check: `check` predicts presses that the fit has not seen.
 6. Sensor file: `sensor_file` writes the sensor and its flat field.
 
-`calibrator` does 3 to 5 in a row. `report` tells what came of it; `prediction` draws presses with a fitted sensor.
+`calibrator` runs steps 3 to 5. `report` sums up the result; `prediction` draws presses with a fitted sensor.
 """

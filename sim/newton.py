@@ -31,11 +31,11 @@ class Policy:
     kept_tangent_tolerance: float = 0.2
     """A load step that ends on a kept tangent, which converges slowly, has this share of its tolerance."""
     largest_kept_ratio: float = 1.0
-    """An increment by a kept tangent that is longer than so many times the one before is undone, and found anew."""
+    """An increment by a kept tangent that exceeds the one before by this factor is undone and found anew."""
     most_patience: int = 8
-    """Where a new tangent helps no more, slow increments keep it: twice as many each time, up to so many."""
+    """Where a new tangent helps no more, slow increments keep it: twice as many each time, up to this many."""
     largest_patient_ratio: float = 2.0
-    """Each of these may be up to so many times as long as the one before."""
+    """Each of these may be at most this many times as long as the one before."""
 
     # Of `AndersonAcceleration`.
     remembered: int = 5
@@ -45,7 +45,7 @@ class Policy:
     extrapolation_share: float = 0.02
     """Of the indenter's feature size: the most that a vertex is moved, so that one that slides off stays near it."""
     drifted: int = 3
-    """After so many increments in a row that grow and keep their direction the state leaps ahead."""
+    """The state leaps ahead after this many increments in a row that grow and keep their direction."""
     along: float = 0.9
     """The least cosine between two increments of one direction."""
     leap_share: float = 0.5
@@ -59,10 +59,10 @@ class Policy:
     most_halvings: int = 2
     """A load step that fails is repeated in two halves, so often; if the smallest part fails, the way ends."""
     runaway_ratio: float = 1.6
-    """A vertex that slides so many times as far as the indenter moves in a load step has run away: the step was too
+    """A vertex that slides this many times as far as the indenter moves in a load step has run away: the step was too
     long, and ends on another equilibrium than shorter ones agree on."""
     squeezed_ratio: float = 0.75
-    """A wide flat squeezes out gel by so many times its way down, for each thickness it is wide; half is the mean."""
+    """A wide flat squeezes out gel by this many times its way down, for each thickness it is wide; half is the mean."""
     runaway_load_share: float = 0.05
     """A load step in which vertices with more than this share of the load run away is repeated in halves."""
     snapped_load_share: float = 0.25
@@ -82,7 +82,7 @@ class Policy:
     largest_coulomb_excess: float = 1e-3
     """and its Coulomb excess is at most this."""
     polishing_iterations: int = 40
-    """One whose load step settled gets up to so many further iterations to reach these two."""
+    """One whose load step settled gets up to this many further iterations to reach these two."""
 
 
 POLICY = Policy()

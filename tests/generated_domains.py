@@ -24,6 +24,20 @@ SETTINGS = {"quality": "draft", "render_quality": "draft", "size_px": (80, 60)}
 EVERY_COLUMN = get_args(OptionalColumn)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def solve_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("solves")))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_solves() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
+        yield
+
+
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four shards a domain."""

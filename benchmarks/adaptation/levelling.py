@@ -54,7 +54,6 @@ class Relit(DerivedFrames):
 
     def __init__(self, whole: LabelledFrames, name: str):
         super().__init__(whole, whole.columns, name.encode())
-        self._change = name.encode()
         self._relight = CHANGES[name]
         order = np.argsort(np.argsort(whole.columns["frame_id"]))
         self._place = order / max(len(order) - 1, 1)

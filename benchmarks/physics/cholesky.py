@@ -180,7 +180,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scenes", type=int, default=len(SCENES), help="only so many of the scenes")
+    parser.add_argument("--scenes", type=int, default=len(SCENES), help="how many of the scenes to measure")
     chosen = parser.parse_args()
     rows = []
     with threadpool_limits(limits=1, user_api="blas"):

@@ -38,7 +38,7 @@ QUALITIES = ("draft", "standard")
 
 
 def problems(qualities: Sequence[str] = QUALITIES, most: int | None = None) -> list[ContactProblem]:
-    """Return contact problems of several sizes, at most so many of each quality."""
+    """Return contact problems of several sizes, at most `most` of each quality."""
     found: list[ContactProblem] = []
     for quality in qualities:
         plans = [

@@ -16,9 +16,9 @@ from gelgap.data.formats.pictures import resized
 REDUCED_PX = (80, 60)
 _TILES = (6, 8)
 _UNTOUCHED = 0.2
-"""Of the tiles, so many are taken to be touched by no contact: a change of these is one of the whole view."""
+"""No contact is taken to touch this share of the tiles: where these change, the whole view has changed."""
 _ABRUPT, _LEAST_ABRUPT, _BESIDE = 1.6, 1.8, 4
-"""Times the changes beside it, of so many pictures; and times the usual change."""
+"""How many times the changes of the neighbours, and the usual change, it must exceed; how many neighbours there are."""
 _LOADED, _LEAST_LOADED = 0.15, 3.5
 """Where the force changes by that share of its range, a contact does so too: the fastest real ones have 3.3."""
 _GAIN_OF_ONE = 0.01
@@ -28,9 +28,9 @@ _AFTER_GAP = 1.5
 _LEAST_CHANGE = 0.5
 """Of 255: as in the real clips. Compressed video shows nothing for some pictures, and then all at once."""
 _LIKE = 0.1
-"""By so much may the light of a channel change between pictures of one view. The exposure steps by 0.03 in 11 clips."""
+"""The most that a channel's light may change between pictures of one view. The exposure steps by 0.03 in 11 clips."""
 _REPEATED = 0.98
-"""Of the values, so many are those of the picture before in a repeated one. The real clips have 0.65 at most."""
+"""A repeated picture has at least this share of the values of the one before. The real clips have 0.65 at most."""
 _QUIET = 0.75
 """A camera in whose pictures more values than this stay is quiet, or its video is compressed: pictures may repeat."""
 _UNSETTLED, _LEAST_DRIFT = 0.05, 0.03
@@ -138,7 +138,7 @@ def _other_views(
     """Return which pictures (n,) show another view than the longest run of them, and the steps of its light.
 
     Abrupt changes of the whole view divide the clip. From its longest part outwards, a part is of the same view if it
-    continues the part before it but for a little light.
+    continues the part before it, apart from a small change of light.
     """
     view = _View.of(pictures, may_be_abrupt)
     starts = [0, *(np.flatnonzero(view.changes > view.allowed) + 1).tolist(), len(pictures)]

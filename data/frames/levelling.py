@@ -1,9 +1,9 @@
 """Bringing pictures to their reference's light: a lamp ages, exposure and white balance are automatic.
 
-Each channel of a picture is gain × reference + offset wherever the contact changes nothing, and is divided by that. The
-line is fitted robustly: the dent and moved markers are what it does not go through. A picture whose channels have been
-multiplied and shifted is levelled to the same picture as before, so that whoever is shown levelled ones is told the
-same: errors grow from 0.03 to 0.34 N without (docs/adaptation.md).
+Each channel of a picture is gain × reference + offset wherever the contact changes nothing; levelling takes the offset
+off and divides by the gain. The line is fitted robustly: the dent and moved markers are outliers. A picture whose
+channels have been multiplied and shifted is levelled to the same picture as before, so a network reads the same force:
+without, its error grows from 0.04 to 0.31 N (docs/adaptation.md).
 """
 
 import numpy as np

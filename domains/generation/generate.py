@@ -189,7 +189,7 @@ def _write_shards(
     progress: Progress,
     log: Callable[..., None],
 ) -> None:
-    """Write shards as they come; of so many frames, show how many are written."""
+    """Write shards as they come, and show how many of the frames are written."""
     written = 0
     for shard in shards:
         writers[shard.domain].write_shard(shard)
